@@ -35,7 +35,7 @@ class Map:
     """Estimate the trajectory of the LiDAR and build a map, with loop closure."""
 
     recording: RecordingArgument
-    """A recording with a 2D LiDAR, or the root of a Robot@Home data set."""
+    """A recording with a 2D LiDAR or a depth camera, or the root of a Robot@Home data set."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
     """The folder for the results."""
     scan: Literal["lidar", "camera", "repaired", "merged"] = "lidar"
@@ -44,8 +44,12 @@ class Map:
     motion: Literal["recorded", "wheel", "laser", "visual", "fused", "none"] = "recorded"
     """The motion prior: recorded poses (TF, else odometry), wheel odometry, laser odometry (scan
     matching), visual odometry, all of them fused, or none."""
-    slam: Literal["none", "particle-filter", "pose-graph"] = "pose-graph"
-    """The estimator; none uses the motion prior as the trajectory."""
+    slam: Literal["none", "particle-filter", "pose-graph", "visual"] = "pose-graph"
+    """The estimator; none uses the motion prior as the trajectory, visual maps a depth camera's
+    images, with or without a LiDAR."""
+    fusion: Literal["none", "table", "bayes"] = "none"
+    """Fuse the LiDAR's own grid and the camera's own cell by cell (Fu 2024): table, an obstacle of
+    either wins (Table 3); bayes, their probabilities are joined (10)."""
     preset: Literal["default", "published"] = "default"
     """The project's own settings, or those of Li 2022."""
     settings: SettingsOption = None
@@ -87,6 +91,11 @@ class Map:
             raise WrongUsage("--labels goes with --scan repaired: they overrule its classes")
         if self.labels is not None and self.home is not None:
             raise WrongUsage("--labels are of one recording, not of a data set (--home)")
+        if self.fusion != "none" and self.scan == "repaired":
+            raise WrongUsage(
+                "--fusion goes with --scan lidar, camera or merged: repaired scans hold the "
+                "camera's ranges, which would count twice"
+            )
         require_integer("--seed", self.seed, SEED_MAX)
         require_integer("--workers", self.workers, WORKERS_MAX, least=1)
         require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
@@ -101,6 +110,7 @@ class Map:
                 scan=self.scan,
                 motion=self.motion,
                 slam=self.slam,
+                fusion=self.fusion,
                 preset=self.preset,
                 settings_file=self.settings,
                 labels=layer,

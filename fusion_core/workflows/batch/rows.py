@@ -67,12 +67,20 @@ def _read_info(row: Row, result: Mapping[str, Any], _: Path) -> None:
 
 
 def _read_map(row: Row, result: Mapping[str, Any], folder: Path) -> None:
-    row.update(
-        duration_s=_number(result["duration_s"]),
-        frames=_whole(result["scans_recorded"]),
-        paired=_whole(result["scans"]),
-        untrusted_stretches=len(result["untrusted"]),
-    )
+    row["duration_s"] = _number(result["duration_s"])
+    if result.get("slam") == "visual":
+        # It places images; those without a pose are not trusted.
+        row.update(
+            frames=_whole(result["images"]),
+            paired=_whole(result["images_tracked"]),
+            untrusted_stretches=len(result["lost"]),
+        )
+    else:
+        row.update(
+            frames=_whole(result["scans_recorded"]),
+            paired=_whole(result["scans"]),
+            untrusted_stretches=len(result["untrusted"]),
+        )
     trusted = _proportion(result["trusted_share"])
     row["untrusted_share"] = None if trusted is None else 1.0 - trusted
     lines = read_head(folder / "trajectory.tum", _LINE_BYTES).decode().splitlines()

@@ -9,17 +9,32 @@ from typing import Any
 from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import MappingFailed
+from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.slam_view import SlamObserver, no_observer
+from fusion_core.model.visual_slam_view import VisualSlamObserver, unobserved
 from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.figures import printable
 from fusion_core.workflows.map.estimators import place_scans
+from fusion_core.workflows.map.grid_fusion import (
+    FusedGrids,
+    fuse_named_grids,
+    fusion_notes,
+    fusion_report,
+    write_fusion,
+)
 from fusion_core.workflows.map.map_input import open_map_input
 from fusion_core.workflows.map.occupancy_maps import build_maps, overlay_camera_map
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary, build_report
 from fusion_core.workflows.map.settings import MapSettings, map_settings, map_settings_toml
+from fusion_core.workflows.map.visual.build_visual_map import map_visually, untracked
+from fusion_core.workflows.map.visual.report import VisualMapSummary
+from fusion_core.workflows.map.visual.settings import (
+    visual_map_settings,
+    visual_map_settings_toml,
+)
 from fusion_core.workflows.map.write_odometry import write_odometry
 from fusion_core.workflows.map.write_results import write_maps, write_trajectory
 from fusion_core.workflows.source import input_files, open_source
@@ -35,14 +50,18 @@ def build_map(
     options: MapOptions,
     progress: Progress = silent,
     observer: SlamObserver = no_observer,
+    visual_observer: VisualSlamObserver = unobserved,
 ) -> MapSummary:
     """Trajectory and maps of a recording into a folder of results.
 
     Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError, ExportError
     for the folder, MappingFailed where no scan can be placed, or where fewer than half of the scans
-    are trusted; in the last case the results are written all the same.
+    are trusted (of the images, by visual SLAM); in the last case the results are written all the
+    same. ``observer`` sees scans placed, ``visual_observer`` images.
     """
     options.require_consistent(recording)
+    if options.is_visual:
+        return _build_visual_map(recording, output, options, progress, visual_observer)
     preset, settings = map_settings(options.preset, options.settings_file, options.seed)
     settings_text = map_settings_toml(settings, preset)
     extrinsics = [] if options.extrinsics_file is None else [options.extrinsics_file]
@@ -69,7 +88,48 @@ def build_map(
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(report, output)
+    if options.fusion != "none" and "grid_fusion" not in report:
+        raise MappingFailed(
+            f"--fusion {options.fusion} needs two grids, and one of them could not be drawn.",
+            file=output,
+            advice="The notes in report.json say why.",
+        )
     return MapSummary(output=output, is_skipped=plan.is_done, report=report, seconds=seconds)
+
+
+def _build_visual_map(
+    recording: Path,
+    output: Path,
+    options: MapOptions,
+    progress: Progress,
+    observer: VisualSlamObserver,
+) -> MapSummary:
+    settings = visual_map_settings(options.settings_file)
+    settings_text = visual_map_settings_toml(settings)
+    extrinsics = [] if options.extrinsics_file is None else [options.extrinsics_file]
+    with open_source(recording, options.room) as opened:
+        request = RunRequest(
+            command="map",
+            inputs=[*input_files(opened), *extrinsics],
+            also_read=[recording, options.settings_file],
+            settings_text=settings_text + options.identity(),
+            seed=0,
+        )
+        plan = plan_output(
+            output, request, force=options.force, overwrite=options.overwrite, progress=progress
+        )
+        seconds: dict[str, float] = {}
+        if plan.is_done:
+            report = json.loads((output / _REPORT_NAME).read_text(encoding="utf-8"))
+        else:
+            with results_folder(plan) as folder:
+                report, seconds = map_visually(
+                    folder, opened, options, settings, progress, observer
+                )
+                write_text(folder / "settings.toml", settings_text)
+    if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
+        raise untracked(report, output)
+    return VisualMapSummary(output=output, is_skipped=plan.is_done, report=report, seconds=seconds)
 
 
 def _map_into(
@@ -89,6 +149,7 @@ def _map_into(
     seconds = {"motion": time.perf_counter() - start_s}
 
     # SLAM: a pose in the map for each scan.
+    assert options.slam != "visual", "visual SLAM places images"
     placed = place_scans(inputs.scans, prior, options.slam, settings, progress, observer)
     seconds.update(placed.seconds)
 
@@ -98,6 +159,10 @@ def _map_into(
     grids, map_notes = build_maps(inputs.drawn, placed, settings.grid, range_max_m, progress)
     if inputs.has_camera_layer:
         grids = overlay_camera_map(grids)
+    fused = _fuse_maps(grids, options, settings)
+    if fused is not None:
+        grids = {**grids, "fused": fused.result}
+        map_notes = [*map_notes, *fusion_notes(fused)]
 
     # The results as files.
     notes = [*inputs.notes, *placed.notes, *map_notes, *recording.warnings]
@@ -106,13 +171,26 @@ def _map_into(
         f"{printable(recording.path.resolve().name)}, preset {options.preset}\n"
         f"SLAM {options.slam}, scan {options.scan}, motion {options.motion}"
     )
+    if fused is not None:
+        report |= {"grid_fusion": fusion_report(fused)}
+        heading += f", fusion {options.fusion}"
+        write_fusion(folder, fused, heading)
     write_maps(folder, grids, heading)
-    write_trajectory(folder, placed, grids.get(options.scan), heading)
+    write_trajectory(folder, placed, grids.get(options.shown_map), heading)
     if inputs.motion is not None:
         write_odometry(folder, inputs.motion)
     write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
     seconds["maps"] = time.perf_counter() - start_s
     return report, seconds
+
+
+def _fuse_maps(
+    grids: Mapping[str, OccupancyGrid], options: MapOptions, settings: MapSettings
+) -> FusedGrids | None:
+    """The fusion of the two sensors' maps; None where none is asked for, or one map is missing."""
+    if options.fusion == "none" or len(grids) < 2:
+        return None
+    return fuse_named_grids(grids, options.fusion, settings.grid_fusion)
 
 
 def _untrusted(report: Mapping[str, Any], output: Path) -> MappingFailed:

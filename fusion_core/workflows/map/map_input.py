@@ -9,6 +9,7 @@ from fusion_core.recordings.calibration_files.extrinsics import read_given_extri
 from fusion_core.recordings.topics import Streams
 from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.map.extrinsics import find_extrinsics
+from fusion_core.workflows.map.grid_fusion import require_two_sensors
 from fusion_core.workflows.map.motion_prior import (
     MotionPrior,
     choose_map_streams,
@@ -26,8 +27,9 @@ from fusion_core.workflows.recorded_poses import recorded_poses
 class MapInput:
     """``scans``: those that SLAM places, with ``motion`` as its prior, None for none.
 
-    ``drawn``: the scans of each map, by its name. ``has_camera_layer``: whether the merged map is
-    drawn of the camera's beams only, to be overlaid on the LiDAR's map.
+    ``drawn``: the scans of each map, by its name; for a fusion the LiDAR's own and the camera's
+    own, which share no beam. ``has_camera_layer``: whether the merged map is drawn of the camera's
+    beams only, to be overlaid on the LiDAR's map.
     """
 
     streams: Streams
@@ -43,7 +45,10 @@ class MapInput:
             motion = ["Without odometry the length of a bare corridor is a guess."]
         else:
             motion = [f"Motion from {self.motion.source}.", *self.motion.notes]
-        return [*self.streams.notes, *motion, *self.scans.notes]
+        sources = (self.scans, *self.drawn.values())
+        # Two sources of one camera have the same notes on its mount.
+        scans = dict.fromkeys(note for source in sources for note in source.notes)
+        return [*self.streams.notes, *motion, *scans]
 
 
 def open_map_input(
@@ -60,11 +65,13 @@ def open_map_input(
         recording=recording, streams=streams, clock_offset_ms=options.clock_offset_ms
     )
     lidar = LidarScans(recording, streams) if streams.lidar is not None else None
+    if options.fusion != "none":
+        require_two_sensors(recording, streams, options.fusion)
     # Only virtual scans need the odometry before the scans: they move clouds to other instants.
     recorded = None
-    if options.has_virtual_scans and lidar is not None:
+    if options.draws_camera and lidar is not None:
         recorded = recorded_poses(recording, streams, lidar.frame_id)
-    if options.has_virtual_scans or options.extrinsics_file is not None:
+    if options.draws_camera or options.extrinsics_file is not None:
         extrinsics = find_extrinsics(
             recording, streams, settings, file=options.extrinsics_file, progress=progress
         )
@@ -82,11 +89,26 @@ def open_map_input(
         progress=progress,
     )
     motion = open_motion_prior(sensors, scans, options.motion, settings, progress)
-    has_camera_layer = options.scan == "merged" and settings.virtual_scan.layers
+    # The ranges of merged scans are in part the LiDAR's own: a fusion takes the camera's alone.
+    has_camera_layer = (
+        options.scan == "merged" and options.fusion == "none" and settings.virtual_scan.layers
+    )
     drawn: dict[str, ScanSource] = {}
-    if lidar is not None and options.scan != "lidar":
+    if lidar is not None:
         drawn["lidar"] = lidar
-    drawn[options.scan] = CameraBeams(scans) if has_camera_layer else scans
+    if options.fusion == "none":
+        drawn[options.scan] = CameraBeams(scans) if has_camera_layer else scans
+    elif options.scan == "camera":
+        drawn["camera"] = scans
+    else:
+        drawn["camera"] = open_scans(
+            sensors,
+            "camera",
+            settings.virtual_scan,
+            chain=settings,
+            prior=recorded.at if recorded else None,
+            progress=progress,
+        )
     return MapInput(
         streams=streams,
         scans=scans,

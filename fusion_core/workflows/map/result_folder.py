@@ -24,6 +24,7 @@ from fusion_core.model.stamps import nearest_stamps
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
+from fusion_core.workflows.map.options import shown_map
 
 # Log odds of a cell that the trinary picture has as occupied: far above any threshold.
 _SURE_LOG_ODDS = 5.0
@@ -76,7 +77,7 @@ def read_map_results(folder: Path) -> MapResults:
         require_intact(folder, ("report.json", "trajectory.tum", "odometry_weights.csv"), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         trajectory = read_tum_trajectory(folder / "trajectory.tum").trajectory
-        grid = folder / f"map_{report['scan']}.yaml"
+        grid = folder / f"map_{shown_map(report)}.yaml"
         require_intact(folder, (grid.name, f"{grid.stem}.pgm"))
         stamps_s, weights = _read_weights(folder / "odometry_weights.csv")
         return MapResults(

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -34,6 +35,12 @@ _WIDTH_MAX_PX = 640
 # Images of one camera in two sizes may differ by rounded or cropped rows.
 _ASPECT_TOLERANCE = 0.02
 
+Purpose = Literal["Visual odometry", "Visual SLAM"]
+_REMEDIES: dict[Purpose, str] = {
+    "Visual odometry": "choose another --motion",
+    "Visual SLAM": "choose another --slam, for a recording with a LiDAR",
+}
+
 
 class RgbdFrames:
     """The images of the first depth camera, any number of times, one in memory at a time.
@@ -45,27 +52,35 @@ class RgbdFrames:
     Raises MissingStream where the recording lacks colour, depth or intrinsics.
     """
 
-    def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        *,
+        clock_offset_ns: int = 0,
+        purpose: Purpose = "Visual odometry",
+    ) -> None:
         self._recording, self._clock_offset_ns = recording, clock_offset_ns
+        self._purpose, self._remedy = purpose, _REMEDIES[purpose]
         self._order = StampFilter(recording)
         if not streams.depth:
             raise MissingStream(
                 "has no depth images.",
                 file=recording.path,
-                advice="Visual odometry needs colour and depth: choose another --motion.",
+                advice=f"{purpose} needs colour and depth: {self._remedy}.",
             )
         self._depth, color = streams.depth[0], streams.color[0]
         if color is None:
             raise MissingStream(
                 f"has no colour images beside {self._depth}.",
                 file=recording.path,
-                advice="Visual odometry needs both, the colour topic below the same name as the "
-                "depth topic (/camera/depth/..., /camera/color/...): choose another --motion.",
+                advice=f"{purpose} needs both, the colour topic below the same name as the depth "
+                f"topic (/camera/depth/..., /camera/color/...): {self._remedy}.",
             )
         self._color = color
         self.notes: tuple[str, ...] = ()
         if len(streams.depth) > 1:
-            self.notes = (f"Visual odometry follows {self._color} alone.",)
+            self.notes = (f"{purpose} follows {self._color} alone.",)
         self.intrinsics = self._intrinsics(streams.camera_info[0])
 
     def _intrinsics(self, info_topic: str | None) -> CameraIntrinsics:
@@ -81,7 +96,7 @@ class RgbdFrames:
             raise MissingStream(
                 f"{self._depth} has no usable intrinsics.",
                 file=self._recording.path,
-                advice="Visual odometry needs them: choose another --motion.",
+                advice=f"{self._purpose} needs them: {self._remedy}.",
             )
         height, width = color.rgb.shape[:2]
         of_depth, of_color = height * intrinsics.width, width * intrinsics.height
@@ -97,7 +112,7 @@ class RgbdFrames:
                 f"{self._color} is taken to show what {self._depth} does, though their frames "
                 f"{color.frame_id} and {depth.frame_id} differ.",
             )
-        return _scaled_intrinsics(intrinsics, _scaled_shape(height, width))
+        return scaled_intrinsics(intrinsics, _scaled_shape(height, width))
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         """Depth images, each with the colour image nearest in time; those without one are left
@@ -150,7 +165,7 @@ def _scaled_shape(height: int, width: int) -> tuple[int, int]:
     return round(height * _WIDTH_MAX_PX / width), _WIDTH_MAX_PX
 
 
-def _scaled_intrinsics(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
+def scaled_intrinsics(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
     """The same camera with images of another size; pixel centres are integers."""
     height, width = shape
     across, down = width / intrinsics.width, height / intrinsics.height

@@ -4,13 +4,15 @@
 and cropped scans (§2.2), each scan matched with the one before and odometry fused by (6) to (9) as
 printed (§3), GMapping as Grisetti 2007 prints it, and, where the mount must be found or scans
 repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024): the map is not
-refined with the poses.
+refined with the poses. Its grids have the increments of OctoMap and are fused as they are drawn (Fu
+2024, Table 3).
 """
 
 from pathlib import Path
 
 from fusion_core.exporting.settings_file import dump_toml
-from fusion_core.mapping import virtual_scan
+from fusion_core.mapping import grid, virtual_scan
+from fusion_core.mapping.grid_misalignment import GridFusionSettings
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.motion import laser
 from fusion_core.motion.fusion import FusionSettings
@@ -33,12 +35,13 @@ class MapSettings(SlamSettings, MotionSettings, ChainSettings):
 
     virtual_scan: VirtualScanSettings = VirtualScanSettings()
     particles: ParticleSettings = ParticleSettings()
+    grid_fusion: GridFusionSettings = GridFusionSettings()
 
 
 MAP_PRESETS: dict[PresetName, MapSettings] = {
     "default": MapSettings(),
     "published": MapSettings(
-        **dict(PRESETS["published"]),
+        **(dict(PRESETS["published"]) | {"grid": grid.OCTOMAP}),
         virtual_scan=virtual_scan.PUBLISHED,
         laser=laser.PUBLISHED,
         fusion=FusionSettings(method="published"),

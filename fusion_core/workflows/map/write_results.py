@@ -17,13 +17,16 @@ from fusion_core.workflows.map.estimators import PlacedScans
 
 
 def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid], heading: str) -> None:
-    """Each map as ROS files and as a picture; of two, both side by side and their difference."""
+    """Each map as ROS files and as a picture; all side by side, and the difference of the two that
+    are not fused of others."""
     for name, grid in grids.items():
         write_map(folder, f"map_{name}", grid)
-    difference = difference_of(grids)
+    difference = difference_of({name: grids[name] for name in grids if name != "fused"})
     if difference is not None:
         write_difference_picture(folder / "map_difference.png", difference)
-        figures_maps.write_maps(folder / "maps.png", heading, grids, difference)
+        figures_maps.write_maps(
+            folder / "maps.png", heading, grids, difference, {"fused": "cell by cell"}
+        )
 
 
 def write_trajectory(

@@ -1,0 +1,69 @@
+"""The images of keyframes, decoded from the recording when they are asked for."""
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_MS, ByteArray
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import CameraIntrinsics, ColorImage
+from fusion_core.model.stamps import NO_STAMP
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+
+# As far apart as colour and depth of one frame may be.
+_GAP_MAX_NS = 40 * NS_PER_MS
+
+
+class ImageLookup:
+    """Images of the first depth camera by their stamps, in the size and with the camera matrix
+    that visual SLAM uses, their distortion taken off. Safe for threads.
+
+    ``clock_offset_ns``: as ``RgbdFrames``. Raises as ``RgbdFrames``.
+    """
+
+    def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
+        intrinsics = RgbdFrames(recording, streams).intrinsics
+        color = streams.color[0]
+        assert color is not None, "RgbdFrames needs it"
+        self._recording, self._color = recording, color
+        self._clock_offset_ns = clock_offset_ns
+        self.intrinsics = intrinsics
+        stamps_ns = recording.stamps_ns(color)
+        self._index = np.flatnonzero(stamps_ns != NO_STAMP)
+        self._stamps_ns = stamps_ns[self._index]
+
+    def at(self, stamp_ns: int) -> ByteArray:
+        """(H, W, 3) uint8 RGB: the colour image nearest to a keyframe's stamp.
+
+        Raises MissingStream where none is near, RecordingError for one that cannot be read.
+        """
+        away_ns = np.abs(self._stamps_ns - (stamp_ns + self._clock_offset_ns))
+        nearest = int(away_ns.argmin()) if away_ns.size else -1
+        value = None
+        if nearest >= 0 and away_ns[nearest] <= _GAP_MAX_NS:
+            value = self._recording.read(self._color, int(self._index[nearest])).value
+        if not isinstance(value, ColorImage):
+            raise MissingStream(
+                f"has no colour image at {stamp_ns * 1e-9:.3f} s.",
+                file=self._recording.path,
+                advice="The run may be of another recording, or of another clock offset.",
+            )
+        camera = self.intrinsics
+        rgb = value.rgb
+        if rgb.shape[:2] != (camera.height, camera.width):
+            size = (camera.width, camera.height)
+            rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return _undistorted(rgb, camera)
+
+
+def _undistorted(rgb: ByteArray, camera: CameraIntrinsics) -> ByteArray:
+    """The image by the camera matrix alone."""
+    if not any(camera.distortion) and not camera.is_fisheye:
+        return rgb
+    coefficients = np.array(camera.distortion or (0.0,) * 4)
+    if camera.is_fisheye:
+        straight = cv2.fisheye.undistortImage(rgb, camera.matrix, coefficients, Knew=camera.matrix)
+    else:
+        straight = cv2.undistort(rgb, camera.matrix, coefficients)
+    return np.asarray(straight, dtype=np.uint8)
