@@ -17,6 +17,7 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
 from fusion_core.model.trajectory import Trajectory
+from fusion_core.model.visual_slam_view import VisualSlamObserver, unobserved
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
 
@@ -96,6 +97,7 @@ class FakeMap:
         options: MapOptions,
         progress: Progress,
         observer: SlamObserver = no_observer,
+        visual_observer: VisualSlamObserver = unobserved,
     ) -> MapSummary:
         self.calls.append((recording, output, options))
         for number in range(1, SCANS + 1):

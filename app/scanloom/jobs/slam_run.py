@@ -1,18 +1,27 @@
 """A run of odometry and SLAM: ``build_map`` into a new folder, observed while it runs."""
 
 import shutil
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
 from fusion_core.model.given_extrinsics import GivenExtrinsics
+from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView
+from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamView, unobserved
 from fusion_core.workflows.map.build_map import build_map
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
-from fusion_core.workflows.map.result_folder import MapResults, read_map_results
+from fusion_core.workflows.map.result_folder import MapResults, read_map_results, read_maps
 from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml
+from fusion_core.workflows.map.visual_result_folder import (
+    VisualResults,
+    has_visual_results,
+    read_visual_map,
+    read_visual_results,
+)
 from scanloom.jobs.build import (
     base_preset,
     extrinsics_file,
@@ -31,7 +40,9 @@ class SlamRun:
     """A finished run. ``folder`` holds its results, and its settings file if it has one.
 
     ``problem``: why the result is unreliable, else None. ``summary`` is None if the run failed
-    after it had written its results.
+    after it had written its results. ``visual``: the keyframes and the cloud of visual SLAM, None
+    of any other. ``grids``: every map that it wrote, by name. ``saved_as``: the folder that it was
+    read back from, empty where this page has run it.
     """
 
     number: int
@@ -41,6 +52,9 @@ class SlamRun:
     summary: MapSummary | None
     files: MapResults
     problem: ScanLoomError | None = None
+    visual: VisualResults | None = None
+    grids: Mapping[str, OccupancyGrid] = field(default_factory=dict)
+    saved_as: str = ""
 
     @property
     def recording(self) -> str:
@@ -56,7 +70,8 @@ class SlamRun:
     def name(self) -> str:
         """The run's label in lists."""
         preset = "" if self.options.preset == "default" else f", {self.options.preset}"
-        return f"{self.number}: {self.choices.label}{preset}"
+        saved = f", from {self.saved_as}" if self.saved_as else ""
+        return f"{self.number}: {self.choices.label}{preset}{saved}"
 
 
 def settings_of(view: View) -> MapSettings:
@@ -78,10 +93,19 @@ def map_options(
     ``given``: extrinsics, where a camera takes part; in their own file or in one beside the
     settings."""
     choices, preset = view.slam, base_preset(view)
+    if choices.is_visual:
+        # It has settings of its own, and takes the images as they are.
+        return MapOptions(
+            slam=choices.estimator,
+            clock_offset_ms=clock_offset_ms,
+            lidar_topic=view.lidar_topic,
+            extrinsics_file=extrinsics_file(given, settings_file.parent),
+        )
     options = MapOptions(
         scan=choices.scan,
         motion=choices.motion,
         slam=choices.estimator,
+        fusion=choices.fusion,
         preset=preset,
         settings_file=None if settings_of(view) == MAP_PRESETS[preset] else settings_file,
         clock_offset_ms=clock_offset_ms,
@@ -110,7 +134,11 @@ class SlamRequest:
 
 
 def run_slam(
-    request: SlamRequest, root: Path, progress: Progress, observer: SlamObserver
+    request: SlamRequest,
+    root: Path,
+    progress: Progress,
+    observer: SlamObserver,
+    visual_observer: VisualSlamObserver = unobserved,
 ) -> SlamRun:
     """Run what a view asks for, into a new folder below ``root``.
 
@@ -124,11 +152,18 @@ def run_slam(
         last[:] = [(done, total, what)]
         progress(done, total, what)
 
-    def observe(seen: SlamView) -> None:
+    def check() -> None:
         # The last report again: it raises if the run was cancelled.
         for step in last:
             progress(*step)
+
+    def observe(seen: SlamView) -> None:
+        check()
         observer(seen)
+
+    def observe_visual(seen: VisualSlamView) -> None:
+        check()
+        visual_observer(seen)
 
     with new_folder(root, Path(f"run-{request.number}")) as folder:
         settings_file = settings_in(folder)
@@ -141,14 +176,21 @@ def run_slam(
         summary: MapSummary | None = None
         problem: ScanLoomError | None = None
         try:
-            summary = build_map(request.recording, results_in(folder), options, advance, observe)
+            summary = build_map(
+                request.recording,
+                results_in(folder),
+                options,
+                advance,
+                observe,
+                observe_visual,
+            )
         except MappingFailed as error:
             # Most of its scans do not fit, but the results were written.
             if not (results_in(folder) / "trajectory.tum").exists():
                 raise
             problem = error
-        progress(1, 1, "done")
-        files = read_map_results(results_in(folder))
+        progress(1, 1, "reading the results")
+        files, visual, grids = read_results(results_in(folder))
     return SlamRun(
         number=request.number,
         view=request.view,
@@ -157,7 +199,21 @@ def run_slam(
         summary=summary,
         files=files,
         problem=problem,
+        visual=visual,
+        grids=grids,
     )
+
+
+def read_results(
+    folder: Path,
+) -> tuple[MapResults, VisualResults | None, Mapping[str, OccupancyGrid]]:
+    """What a run wrote, with the keyframes of visual SLAM and every map by name. Raises ExportError
+    or RecordingError where a file is not as it was written."""
+    grids = read_maps(folder)
+    if not has_visual_results(folder):
+        return read_map_results(folder), None, grids
+    visual = read_visual_results(folder)
+    return read_visual_map(folder, visual), visual, grids
 
 
 def keep(run: SlamRun, recording: Path, root: Path) -> Path:

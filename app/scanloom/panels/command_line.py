@@ -26,9 +26,10 @@ def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
 def map_command(recording: Path, output: Path, options: MapOptions) -> str:
     """A line for a POSIX shell that gives ``options`` to ``scanloom map``."""
     named = (
-        ("--scan", options.scan),
-        ("--motion", options.motion),
+        ("--scan", None if options.is_visual else options.scan),
+        ("--motion", None if options.is_visual else options.motion),
         ("--slam", options.slam),
+        ("--fusion", None if options.fusion == "none" else options.fusion),
         ("--preset", None if options.preset == "default" else options.preset),
         ("--settings", options.settings_file),
         ("--seed", options.seed),

@@ -32,6 +32,7 @@ from scanloom.page.markup import paragraph, report_line, text_box
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.command_line import fuse_command
 from scanloom.panels.slam import SlamPanel
+from scanloom.panels.visual_stage import VisualStage
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.panels.widgets.result_figures import ResultFigures
@@ -50,7 +51,7 @@ class MapPanel(Panel):
 
     ``output_root``: results go into new folders below it. ``on_map`` gets the map of the recording
     that is shown, None where there is none, in the thread that shows views: the fused one, or that
-    of a run of SLAM with its poses.
+    of a run of SLAM with its poses. ``stage`` draws the maps of visual SLAM, which are in space.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class MapPanel(Panel):
         session: ClientSession,
         output_root: Path,
         on_map: MapCallback,
+        stage: VisualStage,
     ) -> None:
         self._session = session
         # The command may be run in another working directory.
@@ -90,7 +92,7 @@ class MapPanel(Panel):
             "Motion and SLAM", visible=session.view.map_mode == "SLAM"
         )
         with self._slam_folder:
-            self._slam = SlamPanel(gui, session, self._root)
+            self._slam = SlamPanel(gui, session, self._root, stage)
 
         self._build_button.on_click(lambda _: self._begin_build())
         self._export_button.on_click(lambda _: self._begin_export())
@@ -168,8 +170,11 @@ class MapPanel(Panel):
         """Pass the map of the mode to the scene, if it has changed."""
         run = self._slam.chosen(view.recording) if mode == "SLAM" else None
         poses: PoseLookup | None = None
-        if run is not None:
-            grid = run.files.grid
+        if run is not None and run.visual is not None:
+            # It has a stage of its own.
+            grid = None
+        elif run is not None:
+            grid = self._slam.grid_of(run)
             poses = TrajectoryPoses(run.name, run.files.trajectory)
         else:
             grid = None if built is None else built.summary.grids.get("fused")

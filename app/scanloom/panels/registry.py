@@ -89,7 +89,11 @@ _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
     "Repair": lambda context: RepairPanel(context.gui, context.session),
     "Review": lambda context: ReviewPanel(context.client, context.bridge, context.session),
     "Map": lambda context: MapPanel(
-        context.gui, context.session, context.output_root, context.scene.set_map
+        context.gui,
+        context.session,
+        context.output_root,
+        context.scene.set_map,
+        context.scene.visual,
     ),
     "Calibrate": lambda context: CalibratePanel(
         context.client, context.bridge, context.session, context.output_root

@@ -21,9 +21,9 @@ from scanloom.frame_view import FrameView
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.scene_legend import SceneLegend
+from scanloom.panels.visual_stage import VisualStage
 from scanloom.panels.widgets.controls import Controls
-from scanloom.plots.grid_image import grid_texture
-from scanloom.plots.theme import LIGHT, Theme, theme_of
+from scanloom.plots.theme import LIGHT, theme_of
 from scanloom.scene import camera_views
 from scanloom.scene.camera_nodes import TOGETHER_NS
 from scanloom.scene.camera_views import CameraView, StageExtent, stage_extent
@@ -37,12 +37,13 @@ from scanloom.scene.frame_stage import (
     staged_frame,
     surface_colors,
 )
-from scanloom.scene.layers import LAYERS, absent_layers, layers_of_step
-from scanloom.scene.map_nodes import MapPlane
+from scanloom.scene.layers import LAYERS, OF_VISUAL_MAP, absent_layers, layers_of_step
+from scanloom.scene.map_nodes import map_plane
 from scanloom.scene.nodes import SceneNodes
 from scanloom.scene.picking import points_in_box
+from scanloom.scene.visual_shapes import floor_place
 from scanloom.state.hover import Hover
-from scanloom.state.possible_steps import why_not
+from scanloom.state.possible_steps import map_mode_of, why_not
 from scanloom.state.view import Layer, PanelName
 
 # A change of the scene keeps the page from all else for about this long, so what is read out beside
@@ -69,6 +70,7 @@ class ScenePanel(Panel):
         self._session = session
         self._camera = client.camera
         self._nodes = SceneNodes(client.scene)
+        self.visual = VisualStage(client, session)
         self._extent: StageExtent | None = None
         self._geometry: FrameGeometry | None = None
         self._coloring: tuple[PanelName, bool] | None = None
@@ -124,7 +126,7 @@ class ScenePanel(Panel):
         is_first = self._grid is None and grid is not None
         self._grid, self._map_poses = grid, poses
         with self._drawing:
-            self._nodes.map.show(None if grid is None else _plane_of(grid, self._map_theme))
+            self._nodes.map.show(None if grid is None else map_plane(grid, self._map_theme))
         self._path_of = None
         if is_first and self._seen_step == "Map":
             # It is what the step is about: look at it once it is placed.
@@ -144,6 +146,13 @@ class ScenePanel(Panel):
         absent = frozenset[Layer]() if staged is None else absent_layers(staged.geometry)
         if frame_view.open_recording.has_turning_lidar:
             absent = frozenset(LAYERS)
+        is_visual = self._is_visual(frame_view)
+        self.visual.show(OF_VISUAL_MAP - view.hidden_layers, is_dark=is_dark, is_seen=is_visual)
+        if is_visual:
+            # The frame has no place in that map.
+            step, staged, absent = "Map", None, frozenset(LAYERS) - OF_VISUAL_MAP
+            layers = frozenset()
+            self._seen_step = None
         self._legend.show(step, view, is_dark, absent)
         self._offer_box(is_offered=frame_view.review is not None)
         theme = theme_of(is_dark=is_dark)
@@ -161,6 +170,12 @@ class ScenePanel(Panel):
             else:
                 self._draw(frame_view, staged)
 
+    def _is_visual(self, frame_view: FrameView) -> bool:
+        """Whether the scene shows a map of visual SLAM instead of the frame."""
+        view = frame_view.view
+        is_slam = map_mode_of(view, frame_view.open_recording) == "SLAM"
+        return view.panel == "Map" and is_slam and self.visual.has_map
+
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
         """Light up what is pointed at: its beam, and its pixel's point."""
         place, match = None, frame_view.match
@@ -173,6 +188,7 @@ class ScenePanel(Panel):
         """Follow the pointer no more."""
         self._closed.set()
         self._pointing.close()
+        self.visual.close()
 
     def _point_at(self, pointed: _Pointed, is_newest: Callable[[], bool]) -> None:
         self._closed.wait(_READ_FIRST_S)
@@ -267,6 +283,9 @@ class ScenePanel(Panel):
         self._nodes.map.place(T_map_lidar)
 
     def _look_by_name(self, name: str) -> None:
+        if self.visual.is_seen:
+            self.visual.look_by_name(name)
+            return
         extent, geometry = self._extent, self._geometry
         if extent is None or geometry is None:
             return
@@ -292,7 +311,7 @@ class ScenePanel(Panel):
         """The whole map in the step of the map, else what the LiDAR sees near the rig."""
         is_map_shown = self._session.view.panel == "Map" and self._grid is not None
         if is_map_shown and self._grid is not None and self._T_lidar_map is not None:
-            plane = _plane_of(self._grid, self._map_theme)
+            plane = map_plane(self._grid, self._map_theme)
             return camera_views.map_from_above(
                 self._T_lidar_map, plane.origin_m, plane.size_m, self._aspect
             )
@@ -313,6 +332,9 @@ class ScenePanel(Panel):
     def _camera_moved(self, camera: viser.CameraHandle) -> None:
         """Turn the shapes to a person who walks around; fit the view anew to a screen of another
         shape, as when its columns are laid out, unless a person has moved it."""
+        if self.visual.is_seen:
+            self.visual.camera_moved()
+            return
         if self._fitted is not None:
             view, aspect = self._fitted
             is_ours = np.linalg.norm(np.array(camera.position) - view.position_m) < _UNMOVED_M
@@ -335,10 +357,28 @@ class ScenePanel(Panel):
         # A browser may send any numbers.
         if not (np.isfinite(origin).all() and np.isfinite(direction).all()):
             return
+        if self.visual.is_seen:
+            self.visual.clicked(origin, direction)
+            return
         with self._drawing:
             beam = self._nodes.pick(origin, direction)
+            place_m = self._map_place(origin, direction)
+        if place_m is not None:
+            with self._drawing:
+                self._nodes.map.mark_cell(place_m)
+            self.visual.on_place(place_m)
         if beam is not None:
             self._session.change(selected_beam=beam)
+
+    def _map_place(self, origin: FloatArray, direction: FloatArray) -> FloatArray | None:
+        """(2,) where a click's ray meets the map, in the map; None where none is seen."""
+        is_map_seen = self._session.view.panel == "Map" and self._grid is not None
+        place_m = floor_place(origin, direction) if is_map_seen else None
+        T_lidar_map = self._T_lidar_map
+        if place_m is None or T_lidar_map is None:
+            return None
+        in_map: FloatArray = (invert_transform(T_lidar_map) @ [*place_m, 0.0, 1.0])[:2]
+        return in_map
 
     def _offer_box(self, *, is_offered: bool) -> None:
         """A drag with Shift draws a box in the review; elsewhere it turns the scene."""
@@ -367,10 +407,3 @@ class ScenePanel(Panel):
 def _is_of_poses_alone(frame_view: FrameView) -> bool:
     """Whether the recording has neither scans nor depth images, but poses."""
     return frame_view.lone is not None and frame_view.lone.scan is None
-
-
-def _plane_of(grid: OccupancyGrid, theme: Theme) -> MapPlane:
-    x_m, y_m = map(float, grid.origin_m)
-    return MapPlane(
-        picture=grid_texture(grid, theme), resolution_m=grid.resolution_m, origin_m=(x_m, y_m)
-    )

@@ -31,6 +31,9 @@ _LAYER_SHAPES: dict[Layer, Shape] = {
     "labels": "square",
     "floor": "thin",
     "map": "square",
+    "cloud": "dot",
+    "keyframes": "diamond",
+    "loops": "line",
 }
 
 
@@ -103,6 +106,9 @@ def _layer_color(layer: Layer, is_dark: bool) -> Color:
         "labels": colors.ink,
         "floor": colors.section,
         "map": (150, 154, 160),
+        "cloud": (124, 123, 120),
+        "keyframes": colors.camera,
+        "loops": color_of("lidar"),
     }
     return by_layer[layer]
 

@@ -13,18 +13,25 @@ import viser
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.errors import ExportError
 from fusion_core.model.given_extrinsics import GivenExtrinsics
+from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamView
+from fusion_core.model.visual_slam_view import VisualSlamView
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, clock_offset_ms, given_extrinsics
 from scanloom.jobs.build import free_folder, results_in, settings_in
+from scanloom.jobs.earlier_runs import earlier_folders, reopen
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.slam_run import SlamRequest, SlamRun, map_options, resampling_at, run_slam
 from scanloom.page.markup import paragraph, text_box
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.command_line import map_command
+from scanloom.panels.earlier_runs import EarlierRunsChoice
+from scanloom.panels.grid_layers import GridLayers
 from scanloom.panels.slam_plots import add_effective_plot, show_effective
 from scanloom.panels.slam_results import SlamResults
+from scanloom.panels.slam_visual import VisualSlamPanel
+from scanloom.panels.visual_stage import VisualStage
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import UPDATE_INTERVAL_S, PanelJob
 from scanloom.plots.line_plot import set_theme
@@ -34,6 +41,7 @@ from scanloom.plots.theme import LIGHT, theme_of
 from scanloom.state.possible_steps import map_mode_of
 from scanloom.state.slam_choices import (
     ESTIMATORS,
+    FUSIONS,
     MOTIONS,
     PARTICLES_MAX,
     PARTICLES_MIN,
@@ -51,7 +59,7 @@ _WIDTH_PX, _HEIGHT_PX = 480, 430
 _CLOSE_UP_PX = 180
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 _ABOUT = (
-    "Estimates the pose of every scan, builds the map, and keeps the last "
+    "Estimates the pose of every scan or image, builds the map, and keeps the last "
     f"{MAX_RUNS} runs to compare, until this page is closed or loaded again."
 )
 _CHOOSE = "Choose what this recording allows"
@@ -61,11 +69,13 @@ _NO_OFFSET = "The clock offset that is to be applied is known once the recording
 class SlamPanel:
     """Runs ``map`` over the view's recording in a background thread."""
 
-    def __init__(self, gui: viser.GuiApi, session: ClientSession, output_root: Path) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, session: ClientSession, output_root: Path, stage: VisualStage
+    ) -> None:
         self._session, self._root = session, output_root
         self._runs = SlamRuns()
         self._lock = threading.RLock()
-        self._live: LatestOnlyWorker[SlamView] | None = None
+        self._live: LatestOnlyWorker[SlamView | VisualSlamView] | None = None
         self._folder: Path | None = None
         self._of_run = session.view
         self._window: Window | None = None
@@ -80,14 +90,14 @@ class SlamPanel:
 
         gui.add_html(paragraph(_ABOUT))
         choices = session.view.slam
-        scan = gui.add_dropdown(
+        self._scan = gui.add_dropdown(
             "Scan",
             SCANS,
             initial_value=choices.scan,
             hint="What is mapped: the LiDAR's scans, a scan cut from the camera, the LiDAR's "
             "repaired by the camera, or both merged",
         )
-        motion = gui.add_dropdown(
+        self._motion = gui.add_dropdown(
             "Motion",
             MOTIONS,
             initial_value=choices.motion,
@@ -97,8 +107,16 @@ class SlamPanel:
             "SLAM",
             ESTIMATORS,
             initial_value=choices.estimator,
-            hint="The estimator: the motion prior alone, a particle filter, or a pose graph "
-            "with loop closure",
+            hint="The estimator: the motion prior alone, a particle filter, a pose graph with "
+            "loop closure, or visual SLAM by colour and depth images alone, in six degrees of "
+            "freedom",
+        )
+        self._fusion = gui.add_dropdown(
+            "Fusion",
+            FUSIONS,
+            initial_value=choices.fusion,
+            hint="Fuse the LiDAR's own grid and the camera's own cell by cell (Fu 2024): by Table "
+            "3 an obstacle of either stays; by Bayes' rule (10) their probabilities are joined",
         )
         self._particles = gui.add_slider(
             "Particles",
@@ -119,17 +137,22 @@ class SlamPanel:
         self._job = PanelJob(
             gui, session, self._lock, self._show_working, cancel_label="Cancel run"
         )
+        self._earlier = EarlierRunsChoice(gui, self._reopen)
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._effective = add_effective_plot(gui)
+        self._visual = VisualSlamPanel(gui, session, stage)
+        self._grids = GridLayers(gui, session)
+        stage.on_place = self._grids.tell
         self._results = SlamResults(gui, session, self._runs, output_root)
         with gui.add_folder("The same from the command line"):
             self._command = gui.add_html("")
 
         self._controls = Controls(gui, session)
         for name, handle in (
-            ("scan", scan),
-            ("motion", motion),
+            ("scan", self._scan),
+            ("motion", self._motion),
             ("estimator", estimator),
+            ("fusion", self._fusion),
             ("particles", self._particles),
         ):
             self._bind(handle, name)
@@ -140,11 +163,17 @@ class SlamPanel:
         """The displayed run, None if the recording has none."""
         return self._results.chosen(recording)
 
+    def grid_of(self, run: SlamRun | None) -> OccupancyGrid | None:
+        """The grid that is to be seen of a run, None for none."""
+        return None if run is None else self._grids.grid_of(run)
+
     def show(self, frame_view: FrameView) -> None:
         """Display the options, the runs of the recording, and the equivalent command."""
         view = frame_view.view
         self._controls.show(view)
         update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
+        for choice in (self._scan, self._motion, self._fusion):
+            update_widget(choice, visible=not view.slam.is_visual)
         with self._lock:
             self._held = streams_of(frame_view.open_recording.opened)
             self._mode = map_mode_of(view, frame_view.open_recording)
@@ -155,6 +184,9 @@ class SlamPanel:
             )
             of_server = self._session.library.given_of(view)
             self._given = given_extrinsics(frame_view, of_server)
+            if view.slam.is_visual and "lidar" not in self._held:
+                # They would say where the camera stands on a LiDAR.
+                self._given = None
             self._clock_offset_ms = 0.0
             if frame_view.chain is not None:
                 self._clock_offset_ms = clock_offset_ms(view, frame_view.chain)
@@ -168,11 +200,19 @@ class SlamPanel:
             self._theme = theme_of(is_dark=frame_view.is_dark)
             set_theme(self._effective, self._theme)
             self._results.show(view.recording, self._theme)
+            run = self._results.chosen(view.recording)
+            self._grids.show(run)
+            self._visual.show(run, self.grid_of(run), frame_view, self._theme)
             self._show_command(view)
+            recording = self._session.recording_path(view.recording)
+            self._earlier.offer(
+                earlier_folders(self._root, recording), is_at_work=self._job.is_running
+            )
 
     def close(self) -> None:
         """Cancel the run and delete the session's runs: the browser has disconnected."""
         self._job.close()
+        self._visual.close()
         self._delete_folder()
 
     def _bind(self, handle: object, name: str) -> None:
@@ -193,17 +233,17 @@ class SlamPanel:
         with self._lock:
             if self._job.is_running or self._job.is_closed or self._why_not is not None:
                 return
-            try:
-                self._folder = self._folder or Path(tempfile.mkdtemp(prefix="scanloom-"))
-            except OSError as error:
-                self._job.fail(_no_folder(error))
+            if not self._make_folder():
                 return
+            assert self._folder is not None, "it was made"
             root, number = self._folder, self._runs.next_number()
             offset_ms, given = self._clock_offset_ms, self._given
             self._of_run, self._window = view, None
             self._submitted_s = 0.0
             live = LatestOnlyWorker(f"run {number}", self._draw, self._session.show_failure)
             self._live = live
+            if view.slam.is_visual:
+                self._visual.begin(view.recording)
 
             def work(progress: Progress) -> SlamRun:
                 recording = self._session.recording_path(view.recording)
@@ -214,20 +254,48 @@ class SlamPanel:
                     clock_offset_ms=offset_ms,
                     given=given,
                 )
-                return run_slam(request, root, progress, self._observe)
+                return run_slam(request, root, progress, self._observe, self._observe)
 
             self._job.begin("slam", work, self._on_done)
 
-    def _observe(self, seen: SlamView) -> None:
+    def _reopen(self, folder: Path) -> None:
+        """Read results of an earlier run back, as one of this page's."""
+        view = self._session.view
+        with self._lock:
+            if self._job.is_running or self._job.is_closed or not self._make_folder():
+                return
+            assert self._folder is not None, "it was made"
+            root, number = self._folder, self._runs.next_number()
+
+            def work(progress: Progress) -> SlamRun:
+                progress(0, None, f"reading {folder.name}")
+                return reopen(folder, root, number, view)
+
+            self._job.begin("earlier run", work, self._on_done)
+
+    def _make_folder(self) -> bool:
+        """Whether there is a folder for the runs."""
+        try:
+            self._folder = self._folder or Path(tempfile.mkdtemp(prefix="scanloom-"))
+        except OSError as error:
+            self._job.fail(_no_folder(error))
+            return False
+        return True
+
+    def _observe(self, seen: SlamView | VisualSlamView) -> None:
         now_s = time.monotonic()
         if now_s - self._submitted_s >= UPDATE_INTERVAL_S and self._live is not None:
             self._submitted_s = now_s
             self._live.submit(seen)
 
-    def _draw(self, slam_view: SlamView, is_newest: Callable[[], bool]) -> None:
+    def _draw(self, slam_view: SlamView | VisualSlamView, is_newest: Callable[[], bool]) -> None:
         """Draw the current state of the run, if it is visible."""
         view = self._session.view
         if view.panel != "Map" or self._mode != "SLAM":
+            return
+        if isinstance(slam_view, VisualSlamView):
+            if view.recording == self._of_run.recording:
+                self._visual.draw_live(slam_view, lambda: not self._job.is_closed)
             return
         self._window = window_around(slam_view, self._window)
         if self._window is None:
@@ -273,6 +341,7 @@ class SlamPanel:
             update_widget(widget, visible=False)
         if not is_at_work and self._live is not None:
             self._live.close()
+            self._visual.end()
         if not is_at_work and self._job.is_closed:
             self._delete_folder()
 

@@ -2,10 +2,12 @@
 
 import html
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
+from fusion_core.workflows.map.visual_result_folder import VisualResults
 from scanloom.jobs.slam_run import SlamRun
 from scanloom.page.markup import report_line
 from scanloom.plots.run_comparison import TrajectoryDifference
@@ -27,6 +29,9 @@ def run_report_html(run: SlamRun) -> str:
 def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
     """Name and text of each line."""
     report = run.files.report
+    if run.visual is not None:
+        yield from visual_report_lines(run, run.visual)
+        return
     yield "path", f"{report['path_m']:.1f} m in {report['duration_s']:.1f} s"
     yield "scans", f"{report['scans']} placed"
     if "loops" in report:
@@ -49,6 +54,29 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
         yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
     for note in report["notes"]:
         # The command line prints ASCII.
+        yield "note", note.replace("+-", "±")
+
+
+def visual_report_lines(run: SlamRun, visual: VisualResults) -> Iterator[tuple[str, str]]:
+    """Name and text of each line about a run of visual SLAM."""
+    report, stamps_ns = run.files.report, visual.trajectory.stamps_ns
+    steps_m = np.linalg.norm(np.diff(visual.trajectory.T_map_body[:, :3, 3], axis=0), axis=1)
+    duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
+    yield "path", f"{steps_m.sum():.1f} m in {duration_s:.1f} s"
+    of = f" of {report['images']}" if "images" in report else ""
+    yield "images", f"{stamps_ns.size}{of} placed"
+    yield "keyframes", f"{visual.stamps_ns.size}"
+    yield "landmarks", f"{len(visual.landmarks_in_map_m)}"
+    yield "loops", f"{len(visual.loops)} closed"
+    points = report.get("volumes", {}).get("points", 0)
+    if points:
+        yield "cloud", f"{points:,} points"
+    yield from _stretches(report.get("lost", []), stamps_ns[0] / NS_PER_S)
+    for jump in report.get("jumps", [])[:_MAX_SEGMENTS]:
+        yield "jump", _jump_text(jump, stamps_ns[0] / NS_PER_S)
+    for stage, seconds in ({} if run.summary is None else run.summary.seconds).items():
+        yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
+    for note in report.get("notes", []):
         yield "note", note.replace("+-", "±")
 
 
@@ -81,3 +109,18 @@ def _unreliable_segments(run: SlamRun) -> Iterator[tuple[str, str]]:
         yield "untrusted", f"{when}: {many} not fit the map"
     if len(segments) > _MAX_SEGMENTS:
         yield "untrusted", f"{len(segments) - _MAX_SEGMENTS} more segments, in report.json"
+
+
+def _stretches(lost: list[dict[str, Any]], zero_s: float) -> Iterator[tuple[str, str]]:
+    for stretch in lost[:_MAX_SEGMENTS]:
+        first, last = stretch["from_s"] - zero_s, stretch["to_s"] - zero_s
+        images = stretch.get("images", 0)
+        many = f": {images} {'image' if images == 1 else 'images'}" if images else ""
+        reason = stretch.get("reason", "")
+        yield "lost", f"{first:.1f} s to {last:.1f} s{many}{f', {reason}' if reason else ''}"
+    if len(lost) > _MAX_SEGMENTS:
+        yield "lost", f"{len(lost) - _MAX_SEGMENTS} more times, in report.json"
+
+
+def _jump_text(jump: dict[str, Any], zero_s: float) -> str:
+    return f"{jump['step_m']:.2f} m at {jump['to_s'] - zero_s:.1f} s"

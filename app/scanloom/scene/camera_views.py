@@ -29,6 +29,8 @@ _FITTED_POINTS = 800
 _LEAST_PATH_M = 4.0
 # From a sensor to the ends of its handles.
 _HANDLES_M = 0.35
+# Set by hand: how steeply a map in space is looked down at.
+_OVERVIEW_SLOPE = 0.7
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -212,6 +214,32 @@ def path_from_above(path_m: FloatArray, aspect: float = 1.0) -> CameraView:
     size_m = np.maximum(high_m - low_m, _LEAST_PATH_M)
     x_m, y_m = 0.5 * (low_m + high_m - size_m)
     return map_from_above(np.eye(4), (float(x_m), float(y_m)), size_m, aspect)
+
+
+def overview(
+    extent_m: tuple[FloatArray, FloatArray], heading: FloatArray, aspect: float = 1.0
+) -> CameraView:
+    """A whole map in space, from behind and above. ``extent_m``: (3,) least and (3,) greatest x, y,
+    z; ``heading``: (2,) the direction in which it was looked at."""
+    low_m, high_m = extent_m
+    corners_m = np.array(
+        [[x, y, z] for x in (low_m[0], high_m[0]) for y in (low_m[1], high_m[1])
+         for z in (low_m[2], high_m[2])]
+    )  # fmt: skip
+    ahead = np.array([heading[0], heading[1], -_OVERVIEW_SLOPE])
+    return _fitted(
+        ahead / np.linalg.norm(ahead), corners_m, corners_m[:0], aspect=aspect, inside_percent=100.0
+    )
+
+
+def from_optical_frame(T_map_camera: FloatArray) -> CameraView:
+    """As a camera sees whose (4, 4) pose is of its optical frame."""
+    position_m = T_map_camera[:3, 3].copy()
+    return CameraView(
+        position_m=position_m,
+        look_at_m=position_m + 2.0 * T_map_camera[:3, 2],
+        up=-T_map_camera[:3, 1],
+    )
 
 
 def from_camera(frustum: Frustum) -> CameraView:

@@ -134,7 +134,7 @@ def arrow_segments(from_to_m: Segments, codes: IntArray) -> tuple[Segments, IntA
     return lines.reshape(-1, 2, 3).astype(np.float32), np.repeat(codes, 3)
 
 
-def path_segments(positions_in_map: FloatArray) -> Segments:
+def path_segments(positions_in_map: FloatArray | Float32Array) -> Segments:
     """A trajectory of (N, 3) positions, in order, as segments; none from or to NaN, none across a
     gap of more than 1 m."""
     return polyline(positions_in_map, _PATH_GAP_M)

@@ -97,8 +97,15 @@ def colors_of_segments(colors: ByteArray) -> ByteArray:
     A line's colours, unlike those of points and of whole nodes, are drawn as intensities, without
     the gamma of sRGB; it is taken out here, so that a class looks the same everywhere.
     """
-    of_ends: ByteArray = np.repeat(_INTENSITIES[colors][:, np.newaxis], 2, axis=1)
+    of_ends: ByteArray = np.repeat(intensities(colors)[:, np.newaxis], 2, axis=1)
     return of_ends
+
+
+def intensities(colors: ByteArray) -> ByteArray:
+    """Colours as they must be sent where a browser draws them without the gamma of sRGB: those of
+    segments, and of the meshes of a batch."""
+    linear: ByteArray = _INTENSITIES[colors]
+    return linear
 
 
 def lines(

@@ -77,7 +77,21 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Calibrate",
     ),
     "map": _layer("Map", "The map, at the height of the LiDAR, and the trajectory", "Map"),
+    "cloud": _layer(
+        "Cloud",
+        "What visual SLAM has mapped, in its own colours, or as boxes of its octree. At most "
+        "200,000 points are sent at a time, most of them where you look",
+        "Map",
+    ),
+    "keyframes": _layer(
+        "Keyframes",
+        "Where the camera was when it saw something new; click one to see its image",
+        "Map",
+    ),
+    "loops": _layer("Loops", "Lines between keyframes that have seen the same place again", "Map"),
 }
+OF_VISUAL_MAP: frozenset[Layer] = frozenset({"map", "cloud", "keyframes", "loops"})
+"""What is shown of a map of visual SLAM, instead of the frame."""
 
 
 # What only a depth camera, and what only a LiDAR gives.
@@ -85,12 +99,15 @@ _OF_CAMERA: frozenset[Layer] = frozenset(
     {"surface", "rows", "matched", "pairs", "classes", "repairs"}
 )
 _OF_LIDAR: frozenset[Layer] = frozenset({"curve", "rays", "matched", "pairs"})
+_OF_VISUAL_ALONE = OF_VISUAL_MAP - {"map"}
 
 
 def absent_layers(frame: FrameGeometry) -> frozenset[Layer]:
     """The layers that a recording has nothing for, by one of its frames."""
-    of_camera = _OF_CAMERA if frame.frustum is None else frozenset[Layer]()
-    return of_camera if frame.body == "LiDAR" else of_camera | _OF_LIDAR
+    absent = _OF_VISUAL_ALONE
+    if frame.frustum is None:
+        absent |= _OF_CAMERA
+    return absent if frame.body == "LiDAR" else absent | _OF_LIDAR
 
 
 def layers_of_step(step: PanelName, hidden: frozenset[Layer]) -> frozenset[Layer]:

@@ -6,13 +6,18 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only
-from scanloom.plots.palette import Color
-from scanloom.scene.geometry import path_segments, quaternion
+from fusion_core.model.grids import OccupancyGrid
+from scanloom.plots.grid_image import grid_texture
+from scanloom.plots.palette import Color, color_of
+from scanloom.plots.theme import Theme
+from scanloom.scene.geometry import NO_SEGMENTS, Segments, path_segments, quaternion
 from scanloom.scene.geometry_nodes import lines
 from scanloom.scene.stage_colors import LIGHT
 
 # Coplanar layers are drawn with a small offset against z-fighting.
 _APART_M = 0.01
+CELL_COLOR: Color = color_of("depth")
+"""Of the outline of a cell that is picked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +40,26 @@ class MapPlane:
         return self.resolution_m * np.array(self.picture.shape[1::-1], dtype=np.float64)
 
 
+def map_plane(grid: OccupancyGrid, theme: Theme) -> MapPlane:
+    """A grid as it is drawn."""
+    x_m, y_m = map(float, grid.origin_m)
+    return MapPlane(
+        picture=grid_texture(grid, theme), resolution_m=grid.resolution_m, origin_m=(x_m, y_m)
+    )
+
+
+def cell_outline(plane: MapPlane, place_m: FloatArray, height_m: float) -> Segments:
+    """(4, 2, 3) the edges of the cell at an (x, y), none outside of the map."""
+    step_m = plane.resolution_m
+    cell = np.floor((place_m - np.array(plane.origin_m)) / step_m)
+    if not (0 <= cell[0] < plane.picture.shape[1] and 0 <= cell[1] < plane.picture.shape[0]):
+        return NO_SEGMENTS
+    low = plane.origin_m + cell * step_m
+    round_m = low + step_m * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    corners = np.column_stack([round_m, np.full(5, height_m)]).astype(np.float32)
+    return np.stack([corners[:-1], corners[1:]], axis=1)
+
+
 class MapNodes:
     """One browser's map and trajectory. They are seen where there is a pose, if the layer is on."""
 
@@ -43,10 +68,14 @@ class MapNodes:
         self._is_placed, self._is_allowed = False, True
         self._frame = scene.add_frame("/in_map", show_axes=False, visible=False)
         self._path = lines(scene, "/in_map/path", LIGHT.ink, thickness_px=3.0)
+        self._cell = lines(scene, "/in_map/cell", CELL_COLOR, thickness_px=3.0)
+        self._plane: MapPlane | None = None
         self._image: viser.ImageHandle | None = None
 
     def show(self, plane: MapPlane | None) -> None:
         """A map in the LiDAR's plane, None for none."""
+        self._plane = plane
+        self._cell.empty()
         if plane is None:
             if self._image is not None:
                 self._image.visible = False
@@ -71,6 +100,11 @@ class MapNodes:
         # Below the curve, which lies in the LiDAR's plane, too.
         self._image.position = (x_m + 0.5 * width_m, y_m + 0.5 * height_m, -2.0 * _APART_M)
         self._image.visible = True
+
+    def mark_cell(self, place_m: FloatArray) -> None:
+        """Outline the cell at an (x, y) of the map."""
+        if self._plane is not None:
+            self._cell.draw(cell_outline(self._plane, place_m, 0.0))
 
     def show_path(self, positions_in_map: FloatArray) -> None:
         """The LiDAR's trajectory, (N, 2) or (N, 3), in its plane; NaN where no pose is known."""

@@ -11,7 +11,7 @@ from fusion_core.workflows.fuse.cached_chain import CachedChain
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
 from scanloom.scene.frame_summary import counts_of_beams
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
-from scanloom.state.possible_steps import why_not
+from scanloom.state.possible_steps import map_mode_of, why_not
 from scanloom.state.review_overlay import ReviewOverlay
 
 # Samples: nearer than this, the peak with and without the recording's offset are the same.
@@ -192,6 +192,14 @@ def counted(number: int, what: str) -> str:
 
 
 def _map(frame_view: FrameView) -> Verdict:
+    if (
+        frame_view.view.slam.is_visual
+        and map_mode_of(frame_view.view, frame_view.open_recording) == "SLAM"
+    ):
+        return Verdict(
+            sentence="Build a map in space by visual SLAM",
+            detail="Of the whole recording: the pose of every image, and what they show.",
+        )
     if not frame_view.open_recording.can_be_fused:
         return Verdict(
             sentence="Build a map by SLAM",

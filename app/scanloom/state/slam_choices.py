@@ -7,11 +7,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from fusion_core.workflows.fuse.recorded_streams import RecordedStreams
 from fusion_core.workflows.map.estimators import SlamKind
 from fusion_core.workflows.map.motion_prior import MotionKind
+from fusion_core.workflows.map.options import FusionKind, MapSlamKind
 from fusion_core.workflows.map.scan_source import ScanKind
 
 SCANS: tuple[ScanKind, ...] = get_args(ScanKind)
 MOTIONS: tuple[MotionKind, ...] = get_args(MotionKind)
-ESTIMATORS: tuple[SlamKind, ...] = get_args(SlamKind)
+ESTIMATORS: tuple[MapSlamKind, ...] = (*get_args(SlamKind), "visual")
+FUSIONS: tuple[FusionKind, ...] = get_args(FusionKind)
 PARTICLES_MIN, PARTICLES_MAX = 2, 200
 
 Stream = Literal["lidar", "depth", "color", "odometry", "tf"]
@@ -38,23 +40,45 @@ _MOTION_NEEDS: dict[str, _Needs] = {
     "fused": (("lidar",), ("color", "depth")),
     "none": ((),),
 }
+_FUSION_NEEDS: dict[str, _Needs] = {
+    "none": ((),),
+    "table": (("lidar", "depth"),),
+    "bayes": (("lidar", "depth"),),
+}
+_ESTIMATOR_NEEDS: dict[str, _Needs] = {
+    "none": ((),),
+    "particle-filter": ((),),
+    "pose-graph": ((),),
+    "visual": (("color", "depth"),),
+}
 
 
 class SlamChoices(BaseModel):
-    """Input scans, motion prior and pose estimator. ``particles``: for the particle filter only."""
+    """Input scans, motion prior and pose estimator. ``fusion``: how the grids of both sensors are
+    fused. ``particles``: for the particle filter only.
+    Visual SLAM takes the camera's images, and no scans."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     scan: ScanKind = "lidar"
     motion: MotionKind = "recorded"
-    estimator: SlamKind = "pose-graph"
+    estimator: MapSlamKind = "pose-graph"
+    fusion: FusionKind = "none"
     particles: int = Field(30, ge=PARTICLES_MIN, le=PARTICLES_MAX)
+
+    @property
+    def is_visual(self) -> bool:
+        """Whether poses come from colour and depth images alone."""
+        return self.estimator == "visual"
 
     @property
     def label(self) -> str:
         """A short label, for a list of runs."""
+        if self.is_visual:
+            return self.estimator
         many = f" ({self.particles})" if self.estimator == "particle-filter" else ""
-        return f"{self.scan}, {self.motion}, {self.estimator}{many}"
+        fused = "" if self.fusion == "none" else f", fused by {self.fusion}"
+        return f"{self.scan}, {self.motion}, {self.estimator}{many}{fused}"
 
 
 def streams_of(opened: RecordedStreams) -> frozenset[Stream]:
@@ -72,19 +96,37 @@ def streams_of(opened: RecordedStreams) -> frozenset[Stream]:
 
 def unsupported_reason(choices: SlamChoices, held: frozenset[Stream]) -> str | None:
     """Why the choices are impossible with these streams, None if they are possible."""
-    reason = _missing_streams_reason(
-        "Scan", choices.scan, _SCAN_NEEDS, held
-    ) or _missing_streams_reason("Motion", choices.motion, _MOTION_NEEDS, held)
+    reason = _missing_streams_reason("SLAM", choices.estimator, _ESTIMATOR_NEEDS, held)
+    if choices.is_visual:
+        return reason
+    reason = (
+        reason
+        or _missing_streams_reason("Scan", choices.scan, _SCAN_NEEDS, held)
+        or _missing_streams_reason("Motion", choices.motion, _MOTION_NEEDS, held)
+        or _missing_streams_reason("Fusion", choices.fusion, _FUSION_NEEDS, held)
+    )
+    if reason is None and choices.fusion != "none" and choices.scan == "repaired":
+        return (
+            "Repaired scans hold the camera's ranges, which would count twice in a fusion: choose "
+            "another scan, or no fusion."
+        )
     if reason is None and choices.estimator == "none" and choices.motion == "none":
         return "Without SLAM and without motion there are no poses: choose one of the two."
     return reason
 
 
 def supported_choices(choices: SlamChoices, held: frozenset[Stream]) -> SlamChoices:
-    """The choices, with the first possible scan and motion instead of an impossible one.
+    """The choices, with the first possible scan and motion instead of an impossible one; visual
+    SLAM where there are colour and depth images and no LiDAR, and not where it is impossible.
 
     Without any scan they stay as they are.
     """
+    if "lidar" not in held and _is_met(_ESTIMATOR_NEEDS["visual"], held):
+        return choices.model_copy(update={"estimator": "visual"})
+    if not _is_met(_ESTIMATOR_NEEDS[choices.estimator], held):
+        choices = choices.model_copy(update={"estimator": "pose-graph"})
+    if not _is_met(_FUSION_NEEDS[choices.fusion], held):
+        choices = choices.model_copy(update={"fusion": "none"})
     scan, motion = choices.scan, choices.motion
     if not _is_met(_SCAN_NEEDS[scan], held):
         scan = next((name for name in SCANS if _is_met(_SCAN_NEEDS[name], held)), scan)

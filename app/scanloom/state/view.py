@@ -48,6 +48,9 @@ Layer = Literal[
     "labels",
     "floor",
     "map",
+    "cloud",
+    "keyframes",
+    "loops",
 ]
 # Unpacked size of a link; a view with every setting changed takes about a tenth of it.
 _MAX_LINK_CHARACTERS = 65_536

@@ -17,7 +17,7 @@ from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.source import RoomChoice
 from scanloom import cli
 from scanloom.panels.command_line import fuse_command, map_command
-from scanloom.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
+from scanloom.state.slam_choices import ESTIMATORS, FUSIONS, MOTIONS, SCANS
 from tests.hostile.names import NO_UTF8
 
 # What a shell, a parser or a terminal could take for something else.
@@ -96,11 +96,19 @@ def test_the_command_line_reads_the_same_options(
         assert asked == (recording, output, replace(options, workers=None))
 
 
+def possible(options: MapOptions) -> MapOptions:
+    """Visual SLAM takes neither scans nor motion, a fusion no repaired scans."""
+    if options.is_visual:
+        return replace(options, scan="lidar", motion="recorded", fusion="none")
+    return replace(options, fusion="none") if options.scan == "repaired" else options
+
+
 MAPS = st.builds(
     MapOptions,
     scan=st.sampled_from(SCANS),
     motion=st.sampled_from(MOTIONS),
     slam=st.sampled_from(ESTIMATORS),
+    fusion=st.sampled_from(FUSIONS),
     preset=st.sampled_from(["default", "published"]),
     seed=st.none() | COUNTS,
     clock_offset_ms=st.sampled_from([0.0, 40.0, -12.5]),
@@ -110,6 +118,7 @@ MAPS = st.builds(
     force=st.booleans(),
     overwrite=st.booleans(),
 ).filter(lambda options: options.motion != "none" or options.slam != "none")
+MAPS = MAPS.map(possible)
 
 
 @given(recording=PATHS, output=PATHS, options=MAPS)

@@ -17,6 +17,7 @@ from scanloom.client_session import ClientSession
 from scanloom.jobs.long_job import Cancelled
 from scanloom.panels import map as map_panel
 from scanloom.panels.map import MapPanel
+from scanloom.panels.visual_stage import VisualStage
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
@@ -40,13 +41,15 @@ class Bench:
     def _welcome(self, client: viser.ClientHandle) -> None:
         view = View(recording=next(iter(self.library.named())), panel="Map")
         self.session = ClientSession(client, self.library, view)
-        self.panel = MapPanel(client.gui, self.session, self.root, self.floor.append)
+        self.stage = VisualStage(client, self.session)
+        self.panel = MapPanel(client.gui, self.session, self.root, self.floor.append, self.stage)
         self.session.panels = [self.panel]
         self.session.refresh()
         self.furnished.set()
 
     def close(self) -> None:
         self.panel.close()
+        self.stage.close()
         self.session.close()
         self.client.close()
         self.server.stop()

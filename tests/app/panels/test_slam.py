@@ -23,6 +23,7 @@ from scanloom.client_session import ClientSession
 from scanloom.jobs import slam_run as job
 from scanloom.panels import slam as slam_panel
 from scanloom.panels.map import MapPanel
+from scanloom.panels.visual_stage import VisualStage
 from scanloom.plots.line_plot import css
 from scanloom.plots.theme import DARK, LIGHT
 from scanloom.state.library import Library
@@ -44,7 +45,8 @@ class Page:
         self.client: ViserClient
         view = View(recording=next(iter(library.named())), panel="Map", map_mode="SLAM")
         self.session = ClientSession(client, library, view)
-        self.panel = MapPanel(client.gui, self.session, root, self.take)
+        self.stage = VisualStage(client, self.session)
+        self.panel = MapPanel(client.gui, self.session, root, self.take, self.stage)
         self.session.panels = [self.panel]
         self.session.refresh()
 
@@ -53,6 +55,7 @@ class Page:
 
     def close(self) -> None:
         self.panel.close()
+        self.stage.close()
         self.session.close()
         self.client.close()
 
@@ -74,9 +77,9 @@ class Page:
     def pictures(self) -> list[Widget]:
         """Live and its effective number; a run, its effective number and weights; both, apart."""
         kinds = "GuiImageMessage", "GuiUplotMessage"
-        found = [w for w in self.client.widgets.values() if w.type in kinds]
-        # The first belongs to the other mode.
-        return found[1:]
+        found = [w for w in list(self.client.widgets.values()) if w.type in kinds]
+        # The first belongs to the other mode; keyframes are those of visual SLAM.
+        return [w for w in found[1:] if "Keyframes" not in self.client.around(w)]
 
     def frame_view(self) -> list[bool]:
         return [bool(picture.props["visible"]) for picture in self.pictures()]

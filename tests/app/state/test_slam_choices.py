@@ -15,6 +15,7 @@ from scanloom.state.slam_choices import (
     SlamChoices,
     Stream,
     streams_of,
+    supported_choices,
     unsupported_reason,
 )
 
@@ -62,3 +63,42 @@ def test_the_streams_of_a_recording_are_found(small_scene: Path) -> None:
         opened = open_recorded_streams(recording, FuseOptions(), PRESETS["default"])
         roles = {topic.role for topic in recording.topics if topic.count}
         assert streams_of(opened) == roles & ALL
+
+
+def test_visual_slam_needs_colour_and_depth_alone() -> None:
+    visual = SlamChoices(estimator="visual", scan="merged", motion="wheel", fusion="table")
+    assert unsupported_reason(visual, frozenset(("color", "depth"))) is None
+    said = unsupported_reason(visual, frozenset(("depth", "lidar", "odometry")))
+    assert said is not None
+    assert "SLAM “visual” needs colour images and depth images, which this recording lacks" in said
+    assert "Possible: none, particle-filter, pose-graph." in said
+
+
+def test_a_fusion_needs_both_sensors_and_counts_none_twice() -> None:
+    fused = SlamChoices(fusion="bayes", motion="none")
+    assert unsupported_reason(fused, frozenset(("lidar", "depth"))) is None
+    said = unsupported_reason(fused, frozenset(("lidar", "color")))
+    assert said is not None
+    assert "Fusion “bayes” needs a LaserScan and depth images" in said
+    twice = unsupported_reason(fused.model_copy(update={"scan": "repaired"}), ALL)
+    assert twice is not None
+    assert "would count twice" in twice
+
+
+@pytest.mark.parametrize(
+    ("held", "estimator"),
+    [
+        ({"color", "depth"}, "visual"),
+        ({"color", "depth", "lidar"}, "pose-graph"),
+        ({"lidar"}, "pose-graph"),
+        ({"depth", "lidar"}, "pose-graph"),
+    ],
+)
+def test_what_is_chosen_for_a_recording_is_possible(held: set[Stream], estimator: str) -> None:
+    wanted = SlamChoices(fusion="table", motion="fused")
+    chosen = supported_choices(wanted, frozenset(held))
+    assert chosen.estimator == estimator
+    assert unsupported_reason(chosen, frozenset(held)) is None
+    # Of what is impossible, too.
+    visual = wanted.model_copy(update={"estimator": "visual"})
+    assert unsupported_reason(supported_choices(visual, frozenset(held)), frozenset(held)) is None

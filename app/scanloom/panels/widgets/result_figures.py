@@ -28,6 +28,10 @@ _TITLES = {
     "map_repaired": "map of repaired scans",
     "map_merged": "map of merged scans",
     "trajectory": "trajectory on the map",
+    "cloud": "dense cloud",
+    "mesh": "surface",
+    "fusion": "both grids, fused by both rules",
+    "misalignment": "how the two grids lie on each other",
     "effective": "effective number of particles",
     "odometry_weights": "weights of the odometries",
 }
