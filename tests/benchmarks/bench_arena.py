@@ -40,6 +40,7 @@ from fusion_core.workflows.map.build_map import build_map
 from fusion_core.workflows.map.motion_prior import MotionKind
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.scan_source import ScanKind
+from tests.benchmarks.map_figures import number, percent, statistics
 
 RUNS: tuple[tuple[ScanKind, MotionKind, str], ...] = (
     ("lidar", "wheel", "visible_to_lidar"),
@@ -108,20 +109,20 @@ def _map_figures(recording: Path, folder: Path, options: MapOptions, own: str) -
     found = evaluate.ros_map(folder / f"map_{options.scan}.yaml", world_path(recording))
     objects = [part["all"] for part in found["obstacles"] if " wall" not in part["name"]]
     return {
-        ALL: _percent(found["all"]["rate"]),
-        "visible outline found, %": _percent(found["visible"]["rate"]),
-        "visible to its sensors found, %": _percent(found[own]["rate"]),
-        "all outline of objects found, %": _percent(
+        ALL: percent(found["all"]["rate"]),
+        "visible outline found, %": percent(found["visible"]["rate"]),
+        "visible to its sensors found, %": percent(found[own]["rate"]),
+        "all outline of objects found, %": percent(
             sum(part["found_m"] for part in objects) / sum(part["outline_m"] for part in objects)
         ),
-        "false, % of occupied cells": _percent(found["false_obstacles"]),
-        "false cells per m2 mapped": _number(found["false_cells_per_m2"]),
+        "false, % of occupied cells": percent(found["false_obstacles"]),
+        "false cells per m2 mapped": number(found["false_cells_per_m2"]),
         LINES_FOUND: float(found["lines"]["measured"]),
         f"{LINES_FOUND}, of": float(found["lines"]["total"]),
-        LINES: _percent(found["lines"]["relative_error"]),
+        LINES: percent(found["lines"]["relative_error"]),
         ANGLES_FOUND: float(found["angles"]["measured"]),
         f"{ANGLES_FOUND}, of": float(found["angles"]["total"]),
-        ANGLES: _number(found["angles"]["mean_absolute_error_deg"]),
+        ANGLES: number(found["angles"]["mean_absolute_error_deg"]),
         FAILED: failed,
         f"{FAILED}, of": 1.0,
         "seconds": seconds,
@@ -131,18 +132,10 @@ def _map_figures(recording: Path, folder: Path, options: MapOptions, own: str) -
 def _track_figures(track: dict[str, Any]) -> Figures:
     """Errors of one odometry: Li's over straight segments, and of all metres of the path."""
     return {
-        "Table 5, %": _percent(track["straight"]["error"]),
-        "of a metre, %": _percent(track["over_stretches"]["translation_error"]),
+        "Table 5, %": percent(track["straight"]["error"]),
+        "of a metre, %": percent(track["over_stretches"]["translation_error"]),
         "deg per m": track["over_stretches"]["rotation_deg_per_m"],
     }
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _percent(value: float | None) -> float:
-    return 100.0 * _number(value)
 
 
 def _in_a_line(figures: Figures) -> str:
@@ -162,7 +155,7 @@ def _print_maps(columns: list[list[Figures]]) -> None:
                 cells.append(f"{own.sum():.0f} of {total:.0f}")
                 continue
             paper = PAPER.get(measure)
-            cell = _statistics(own, more_is_better=measure.endswith("found, %"))
+            cell = statistics(own, more_is_better=measure.endswith("found, %"))
             cells.append(cell if paper is None else f"{cell} | {paper[column]:.2f}")
         print(f"{measure:<34}" + "".join(f"{cell:<32}" for cell in cells).rstrip())
 
@@ -173,24 +166,12 @@ def _print_tracks(tracks: dict[tuple[str, str], list[Figures]]) -> None:
     for (preset, source), rows in tracks.items():
         cells = []
         for measure in measures:
-            cell = _statistics(np.array([row[measure] for row in rows]), digits=3)
+            cell = statistics(np.array([row[measure] for row in rows]), digits=3)
             if measure.startswith("Table 5") and source in PAPER_ODOMETRY:
                 cell += f" | {PAPER_ODOMETRY[source]:.2f}"
             cells.append(cell)
         title = f"{source} (put in)" if source == "wheel" else source
         print(f"{preset:<11}{title:<16}" + "".join(f"{cell:<30}" for cell in cells).rstrip())
-
-
-def _statistics(
-    values: np.ndarray[Any, np.dtype[Any]], *, digits: int = 2, more_is_better: bool = False
-) -> str:
-    """Mean ± standard deviation (worst) of those that are known; "-" where none is."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return "-"
-    sd = f"{known.std(ddof=1):.{digits}f}" if known.size > 1 else "-"
-    worst = known.min() if more_is_better else known.max()
-    return f"{known.mean():.{digits}f} ± {sd} ({worst:.{digits}f})"
 
 
 if __name__ == "__main__":

@@ -1,0 +1,349 @@
+"""Visual SLAM on recorded RGB-D images: error, speed, memory and faults.
+
+    python -m tests.benchmarks.bench_visual            # error, with Open3D's beside it
+    python -m tests.benchmarks.bench_visual --speed    # images a second, cost and memory by length
+    python -m tests.benchmarks.bench_visual --faults   # error of images that were spoilt
+
+SCANLOOM_TEST_DATA names the folder of recordings.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fusion_core.evaluation.umeyama import align_positions
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.errors import MappingFailed
+from fusion_core.model.geometry import invert_transform
+from fusion_core.model.rgbd_frame import RgbdFrame
+from fusion_core.model.sensors import CameraIntrinsics, PoseSample
+from fusion_core.recordings.formats import open_recording
+from fusion_core.recordings.topics import choose_streams
+from fusion_core.slam.visual.visual_slam import VisualSlamResult, visual_slam
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+
+RECORDINGS = {
+    "seven_scenes": "real/rgbd/seven_scenes",
+    "Redwood": "real/rgbd/redwood_and_odd_encodings",
+}
+# Images at the start of each run that are not counted: functions are compiled there.
+_WARM_UP = 30
+# Open3D: images between those among which its pose graph looks for loops, how near they must be.
+_O3D_KEYFRAME_STEP = 20
+_O3D_LOOP_M, _O3D_LOOP_RAD = 0.4, 0.5
+
+
+@dataclass
+class Images:
+    """A recording's images with the recorded poses, (N, 4, 4), of their camera."""
+
+    frames: RgbdFrames
+    intrinsics: CameraIntrinsics
+    truth: FloatArray
+
+
+def read_images(name: str) -> Images:
+    recording = open_recording(Path(os.environ["SCANLOOM_TEST_DATA"]) / RECORDINGS[name])
+    frames = RgbdFrames(recording, choose_streams(recording), purpose="Visual SLAM")
+    poses = [
+        message.value.T_parent_child
+        for message in recording.messages(["/camera/pose"])
+        if isinstance(message.value, PoseSample)
+    ]
+    return Images(frames, frames.intrinsics, np.stack(poses))
+
+
+def ate_m(estimate: FloatArray, truth: FloatArray) -> float:
+    """RMSE of positions after rigid alignment without scale."""
+    aligned = align_positions(estimate[:, :3, 3], truth[:, :3, 3], "se3").apply(estimate)
+    return float(np.sqrt(((aligned[:, :3, 3] - truth[:, :3, 3]) ** 2).sum(axis=1).mean()))
+
+
+def run_slam(frames, intrinsics: CameraIntrinsics) -> VisualSlamResult:
+    with ThreadPoolExecutor(1) as executor:
+        return visual_slam(frames, intrinsics, executor=executor)
+
+
+# --- error -------------------------------------------------------------------
+
+
+def open3d_poses(images: Images) -> tuple[FloatArray, FloatArray]:
+    """(N, 4, 4) by Open3D's RGB-D odometry alone, and with its pose graph over loops."""
+    import open3d as o3d
+
+    given = images.intrinsics
+    camera = o3d.camera.PinholeCameraIntrinsic(
+        given.width, given.height, given.fx, given.fy, given.cx, given.cy
+    )
+    jacobian = o3d.pipelines.odometry.RGBDOdometryJacobianFromHybridTerm()
+    option = o3d.pipelines.odometry.OdometryOption()
+
+    def image(frame: RgbdFrame):
+        return o3d.geometry.RGBDImage.create_from_color_and_depth(
+            o3d.geometry.Image(np.ascontiguousarray(frame.rgb)),
+            o3d.geometry.Image(np.nan_to_num(frame.depth_m)),
+            depth_scale=1.0,
+            depth_trunc=4.0,
+            convert_rgb_to_intensity=True,
+        )
+
+    def step(source, target, start: FloatArray):
+        return o3d.pipelines.odometry.compute_rgbd_odometry(
+            source, target, camera, start, jacobian, option
+        )
+
+    registration = o3d.pipelines.registration
+    graph = registration.PoseGraph()
+    poses, before, kept = [np.eye(4)], None, {}
+    for index, frame in enumerate(images.frames):
+        now = image(frame)
+        if before is not None:
+            _, T_before_now, information = step(now, before, np.eye(4))
+            poses.append(poses[-1] @ T_before_now)
+            graph.edges.append(
+                registration.PoseGraphEdge(index, index - 1, T_before_now, information, False)
+            )
+        if index % _O3D_KEYFRAME_STEP == 0:
+            kept[index] = now
+        before = now
+    graph.nodes.extend(registration.PoseGraphNode(pose) for pose in poses)
+    for first in kept:
+        for second in kept:
+            start = invert_transform(poses[first]) @ poses[second]
+            angle = np.arccos(np.clip(0.5 * (np.trace(start[:3, :3]) - 1.0), -1.0, 1.0))
+            near = np.linalg.norm(start[:3, 3]) < _O3D_LOOP_M and angle < _O3D_LOOP_RAD
+            if second <= first or not near:
+                continue
+            found, T_first_second, information = step(kept[second], kept[first], start)
+            if found:
+                graph.edges.append(
+                    registration.PoseGraphEdge(second, first, T_first_second, information, True)
+                )
+    registration.global_optimization(
+        graph,
+        registration.GlobalOptimizationLevenbergMarquardt(),
+        registration.GlobalOptimizationConvergenceCriteria(),
+        registration.GlobalOptimizationOption(
+            max_correspondence_distance=0.05, edge_prune_threshold=0.25, reference_node=0
+        ),
+    )
+    return np.stack(poses), np.stack([node.pose for node in graph.nodes])
+
+
+def print_errors() -> None:
+    print(f"{'recording':14} {'method':34} {'poses':>9} {'ATE RMSE (m)':>13} {'time (s)':>9}")
+    for name in RECORDINGS:
+        images = read_images(name)
+        start_s = time.perf_counter()
+        result = run_slam(images.frames, images.intrinsics)
+        seconds = time.perf_counter() - start_s
+        tracked = result.is_tracked
+        rows = [
+            ("visual SLAM", ate_m(result.T_map_camera[tracked], images.truth[tracked]), tracked)
+        ]
+        times = [seconds]
+        start_s = time.perf_counter()
+        odometry, graph = open3d_poses(images)
+        seconds = time.perf_counter() - start_s
+        for method, poses in (
+            ("Open3D RGB-D odometry", odometry),
+            ("Open3D RGB-D odometry, pose graph", graph),
+        ):
+            rows.append((method, ate_m(poses, images.truth), np.ones(len(poses), np.bool_)))
+            times.append(seconds)
+        for (method, error_m, placed), took_s in zip(rows, times, strict=True):
+            count = f"{placed.sum()}/{len(images.truth)}"
+            print(f"{name:14} {method:34} {count:>9} {error_m:13.4f} {took_s:9.1f}", flush=True)
+
+
+# --- speed -------------------------------------------------------------------
+
+
+def to_and_fro(images: list[RgbdFrame], count: int) -> Iterator[RgbdFrame]:
+    """``count`` images: through the given ones forwards, backwards, and so on."""
+    period = 2 * (len(images) - 1)
+    for number in range(count):
+        place = number % period
+        frame = images[min(place, period - place)]
+        yield replace(frame, stamp_ns=33_333_333 * number)
+
+
+def measure_length(count: int) -> dict[str, float]:
+    """Cost and memory of a run; in a process of its own."""
+    source = read_images("seven_scenes")
+    images = list(source.frames)
+    run_slam(images[:_WARM_UP], source.intrinsics)
+    base_mib = _resident_mib()
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    result = run_slam(to_and_fro(images, count), source.intrinsics)
+    wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+    return {
+        "images": count,
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
+        "tracking_s": sum(result.seconds[name] for name in ("features", "tracking", "local map")),
+        "waiting_s": result.seconds["waiting for mapping"],
+        "mapping_s": result.seconds["mapping"],
+        "growth_mib": _resident_mib() - base_mib,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "keyframes": len(result.visual_map.kept_keyframes),
+        "tracked": int(result.is_tracked.sum()),
+    }
+
+
+def _resident_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2.0**20
+
+
+def print_speed(lengths: list[int]) -> None:
+    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, images of 640 x 480")
+    print(
+        f"{'images':>7} {'tracked':>8} {'keyframes':>9} {'images/s':>9} {'CPU (s)':>8} "
+        f"{'mapping (s)':>11} {'waiting (s)':>11} {'growth (MiB)':>12}"
+    )
+    rows = []
+    for count in lengths:
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.benchmarks.bench_visual", "--length", str(count)],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        row = json.loads(done.stdout.splitlines()[-1])
+        rows.append(row)
+        print(
+            f"{count:7d} {row['tracked']:8d} {row['keyframes']:9d} {count / row['wall_s']:9.1f} "
+            f"{row['cpu_s']:8.1f} {row['mapping_s']:11.1f} {row['waiting_s']:11.1f} "
+            f"{row['growth_mib']:12.0f}",
+            flush=True,
+        )
+    if len(rows) > 1:
+        logs = np.log([[row["images"], row["cpu_s"]] for row in rows])
+        print(f"exponent of CPU time against length: {np.polyfit(*logs.T, 1)[0]:.2f}")
+
+
+# --- faults ------------------------------------------------------------------
+
+
+def blurred(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    """Five images of each thirty moved by 25 pixels while exposed."""
+    for number, frame in enumerate(frames):
+        if number % 30 < 25:
+            yield frame
+        else:
+            yield replace(frame, gray=cv2.blur(frame.gray, (25, 3)))
+
+
+def dark(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    """Five images of each fifty with a hundredth of the light."""
+    for number, frame in enumerate(frames):
+        is_dark = number % 50 >= 45
+        yield replace(frame, gray=(frame.gray * 0.01).astype(np.uint8)) if is_dark else frame
+
+
+def scaled_depth(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    for frame in frames:
+        yield replace(frame, depth_m=(1.04 * frame.depth_m).astype(np.float32))
+
+
+def moving_block(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    """Half of the image hidden by something textured, 1 m away, that moves to and fro."""
+    height, width = frames[0].gray.shape
+    cells = np.random.default_rng(0).integers(30, 226, (height // 12, width // 12), np.uint8)
+    texture = cv2.resize(cells, (width, height), interpolation=cv2.INTER_NEAREST)
+    for number, frame in enumerate(frames):
+        left = int(0.25 * width * (1.0 + np.sin(number / 20.0)))
+        gray, depth_m = frame.gray.copy(), frame.depth_m.copy()
+        gray[:, left : left + width // 2] = texture[:, : width // 2]
+        depth_m[:, left : left + width // 2] = 1.0
+        yield replace(frame, gray=gray, depth_m=depth_m)
+
+
+def late_depth(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    """Each image with the depth of 40 ms later: of the next image, 33 ms, and each fifth time of
+    the one after."""
+    for number, frame in enumerate(frames):
+        later = min(number + (2 if number % 5 == 0 else 1), len(frames) - 1)
+        yield replace(frame, depth_m=frames[later].depth_m)
+
+
+def lost_images(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
+    """Fifteen images of each sixty are not there."""
+    for number, frame in enumerate(frames):
+        if number % 60 < 45:
+            yield frame
+
+
+FAULTS: dict[str, Callable[[list[RgbdFrame]], Iterator[RgbdFrame]]] = {
+    "none": iter,
+    "blurred, 5 of 30": blurred,
+    "dark, 5 of 50": dark,
+    "depth + 4 %": scaled_depth,
+    "moving block over half": moving_block,
+    "depth 40 ms late": late_depth,
+    "15 of 60 left out": lost_images,
+}
+
+
+def print_faults(count: int) -> None:
+    images = read_images("seven_scenes")
+    frames = list(images.frames)[:count]
+    place = {frame.stamp_ns: number for number, frame in enumerate(frames)}
+    print(
+        f"{'fault':24} {'poses':>9} {'ATE RMSE (m)':>12} {'greatest step (m)':>17} "
+        f"{'jumps':>5} lost"
+    )
+    for name, spoil in FAULTS.items():
+        spoilt = list(spoil(frames))
+        try:
+            result = run_slam(spoilt, images.intrinsics)
+        except MappingFailed as error:
+            print(f"{name:24} {error}")
+            continue
+        tracked = result.is_tracked
+        truth = images.truth[[place[stamp] for stamp in result.stamps_ns.tolist()]][tracked]
+        poses = result.T_map_camera[tracked]
+        step_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max()
+        lost = ", ".join(
+            f"{stretch.first}-{stretch.last} {stretch.reason}" for stretch in result.lost
+        )
+        print(
+            f"{name:24} {f'{tracked.sum()}/{len(spoilt)}':>9} {ate_m(poses, truth):12.4f} "
+            f"{step_m:17.3f} {len(result.jumps):5d} {lost or '-'}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--images", type=int, default=300, help="of --faults")
+    parser.add_argument("--lengths", type=int, nargs="+", default=[300, 600, 1200, 3000])
+    parser.add_argument("--length", type=int, help=argparse.SUPPRESS)
+    chosen = parser.parse_args()
+    cv2.setNumThreads(1)
+    if chosen.length:
+        print(json.dumps(measure_length(chosen.length)))
+    elif chosen.speed:
+        print_speed(chosen.lengths)
+    elif chosen.faults:
+        print_faults(chosen.images)
+    else:
+        print_errors()
+
+
+if __name__ == "__main__":
+    main()
