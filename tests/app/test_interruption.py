@@ -67,6 +67,7 @@ def test_a_failure_within_goes_on(own_handler: list[int]) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_work_ends_by_an_exception_and_cleans_up_undisturbed(number: signal.Signals) -> None:
     steps = []
+    before = signal.getsignal(number)
 
     def work() -> None:
         try:
@@ -75,15 +76,10 @@ def test_work_ends_by_an_exception_and_cleans_up_undisturbed(number: signal.Sign
             os.kill(os.getpid(), number)
             steps.append("cleaned up")
 
-    # Tests that nohup started ignore a hangup.
-    before = signal.signal(number, signal.SIG_DFL)
-    try:
-        with pytest.raises(Terminated) as ended, termination():
-            work()
-        assert signal.getsignal(number) is signal.SIG_DFL
-    finally:
-        signal.signal(number, before)
+    with pytest.raises(Terminated) as ended, termination():
+        work()
     assert (ended.value.number, steps) == (number, ["cleaned up"])
+    assert signal.getsignal(number) is before
 
 
 def test_what_is_ignored_stays_ignored() -> None:
