@@ -219,15 +219,14 @@ def fusion_difference(folder: Path) -> str | None:
     if not all(file.exists() for file in files):
         return None
     table, bayes = (read_ros_map(file) for file in files)
-    states = [np.sign(grid.log_odds) for grid in (table, bayes)]
-    if states[0].shape != states[1].shape:
-        return f"table and bayes have {states[0].shape} and {states[1].shape} cells"
-    known = np.isfinite(states[0]) | np.isfinite(states[1])
-    same = (states[0] == states[1]) | ~known
-    only = int((~same & (states[0] > 0)).sum())
+    if table.occupied.shape != bayes.occupied.shape:
+        return f"table and bayes have {table.occupied.shape} and {bayes.occupied.shape} cells"
+    known = table.occupied | table.free | bayes.occupied | bayes.free
+    differ = (table.occupied != bayes.occupied) | (table.free != bayes.free)
+    only = table.occupied & ~bayes.occupied
     return (
-        f"table and bayes differ in {int((~same).sum())} of {int(known.sum())} known cells; "
-        f"in {only} of them table alone shows an obstacle"
+        f"table and bayes differ in {int(differ.sum())} of {int(known.sum())} cells that either "
+        f"shows; in {int(only.sum())} of them table alone shows an obstacle"
     )
 
 
