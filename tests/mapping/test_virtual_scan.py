@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from fusion_core.mapping.beam_surfaces import nearest_surfaces
 from fusion_core.mapping.camera_points import project_to_cloud
 from fusion_core.mapping.virtual_scan import (
     PUBLISHED,
     VirtualScanSettings,
     make_camera_scan,
     merge_camera_cloud,
-    nearest_per_angle,
 )
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.sensors import CameraIntrinsics
@@ -66,8 +66,8 @@ clouds = st.integers(0, 10_000).map(
 )
 def test_each_angle_takes_its_nearest_point(points, first, step, beams, half_width, thickness):
     beams = min(beams, int(2 * np.pi / abs(step) + 1e-9))
-    found = nearest_per_angle(
-        points,
+    found, _ = nearest_surfaces(
+        np.column_stack([points, np.zeros(len(points))]),
         first,
         step,
         beams,
