@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.mapping.level_plane import LARGE_FRACTION, LevelPlaneSearch
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.robust import robust_sigma
@@ -28,21 +29,10 @@ _TOLERANCE_PER_M = 0.005
 # RANSAC iterations: three floor points are drawn with a confidence of 99.9 % where 28 % of the
 # patches are floor.
 _RANSAC_DRAWS = 300
-# Points that score a draw: the inlier ratio is then known to 1 % (two standard deviations).
-_SCORED = 12_000
-# Rounds of refitting to the inliers.
-_REFITS = 4
-# Twice the least area of a drawn triangle: smaller ones give no reliable normal.
-_TRIANGLE_MIN_M2 = 0.01
 # Tolerance of a local slope, which depth noise between neighbouring samples makes inexact.
 _SLOPE_SLACK_RAD = np.deg2rad(12.0)
-# Level planes that may lie above the floor, each below the one before: shelf, table, seat, step.
-_PLANES_ABOVE_FLOOR = 4
 # What lies this far below a plane is not on it: twice the inlier distance at _FAR_M.
 _BELOW_M = 2.0 * (_TOLERANCE_M + _TOLERANCE_PER_M * _FAR_M)
-# Patches that a plane needs to be the floor, as a fraction of those of the plane above it, which is
-# then furniture, or of all level patches of an image.
-_LARGE_FRACTION = 0.15
 # Ten images of fifteen patches each, 0.3 % of an image's samples.
 _PATCHES_MIN = 150
 _PATCHES_OF_IMAGE = 15
@@ -102,18 +92,20 @@ def find_floor(
     )
     points_m = np.concatenate([*found, np.empty((0, 3))])
     rng = np.random.default_rng(seed)
-    plane = _ransac_plane(points_m, up, tilt_max_rad, rng)
+    search = LevelPlaneSearch(
+        up=up,
+        tilt_max_rad=tilt_max_rad,
+        is_near=_is_near,
+        camera_height_m=lambda plane: float(plane[3]),
+        camera_height_min_m=_NEAREST_BELOW_M,
+        points_min=_PATCHES_MIN,
+        below_m=_BELOW_M,
+        draws=_RANSAC_DRAWS,
+    )
+    plane = search.find(points_m, rng)
     if plane is None:
         raise _no_floor_error(f"{len(points_m)} level patches in {len(depths_m)} images")
-    # The largest plane may be a table top: look for the floor below it.
-    for _ in range(_PLANES_ABOVE_FLOOR):
-        on_plane = int(_is_near(points_m, plane).sum())
-        below = points_m @ plane[:3] + plane[3] < -_BELOW_M
-        lower = _ransac_plane(points_m[below], up, tilt_max_rad, rng)
-        if lower is None or _is_near(points_m, lower).sum() < _LARGE_FRACTION * on_plane:
-            break
-        plane = lower
-    plane = _refit_plane(points_m, plane)
+    plane = search.refit(points_m, plane)
     near = _is_near(points_m, plane)
     heights_m = points_m @ plane[:3] + plane[3]
     images = int((np.bincount(image_of[near], minlength=1) >= _PATCHES_OF_IMAGE).sum())
@@ -127,7 +119,7 @@ def find_floor(
         raise _no_floor_error(
             f"{below_fraction:.0%} as many patches lie below its best plane as on it"
         )
-    _require_fixed_camera(points_m, image_of, plane, len(depths_m))
+    _require_fixed_camera(search, points_m, image_of, plane, len(depths_m))
     return FloorPlane(
         up=plane[:3].copy(),
         camera_height_m=float(plane[3]),
@@ -147,7 +139,11 @@ def _no_floor_error(found: str) -> AlignmentFailed:
 
 
 def _require_fixed_camera(
-    points_m: FloatArray, image_of: IntArray, plane: FloatArray, images: int
+    search: LevelPlaneSearch,
+    points_m: FloatArray,
+    image_of: IntArray,
+    plane: FloatArray,
+    images: int,
 ) -> None:
     """Raise AlignmentFailed for a hand-held camera, whose floor differs from image to image."""
     near = _is_near(points_m, plane)
@@ -156,10 +152,10 @@ def _require_fixed_camera(
     rich = seen >= _PATCHES_MIN
     elsewhere = False
     if rich.any():
-        elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_FRACTION)
+        elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < LARGE_FRACTION)
     tilts_rad, heights_m = [], []
     for image in np.flatnonzero(agreeing >= _PATCHES_OF_FIT):
-        own = _refit_plane(points_m[image_of == image], plane)
+        own = search.refit(points_m[image_of == image], plane)
         tilts_rad.append(np.arccos(np.clip(own[:3] @ plane[:3], -1.0, 1.0)))
         heights_m.append(abs(own[3] - plane[3]))
     if tilts_rad:
@@ -207,45 +203,3 @@ def _tolerance_m(points_m: FloatArray) -> FloatArray:
 def _is_near(points_m: FloatArray, plane: FloatArray) -> BoolArray:
     near: BoolArray = np.abs(points_m @ plane[:3] + plane[3]) <= _tolerance_m(points_m)
     return near
-
-
-def _ransac_plane(
-    points_m: FloatArray, up: FloatArray, tilt_max_rad: float, rng: np.random.Generator
-) -> FloatArray | None:
-    """(4,) unit normal towards ``up`` and offset of the plane with most inliers, None without."""
-    if len(points_m) < _PATCHES_MIN:
-        return None
-    scored_m = points_m
-    if len(points_m) > _SCORED:
-        scored_m = points_m[np.sort(rng.choice(len(points_m), _SCORED, replace=False))]
-    best: FloatArray | None = None
-    most = 0
-    for _ in range(_RANSAC_DRAWS):
-        a, b, c = points_m[rng.integers(len(points_m), size=3)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        # Three points in a line, or nearly so, have no normal.
-        if length < _TRIANGLE_MIN_M2:
-            continue
-        normal *= np.sign(normal @ up) / length
-        plane = np.append(normal, -float(normal @ a))
-        if normal @ up < np.cos(tilt_max_rad) or plane[3] < _NEAREST_BELOW_M:
-            continue
-        count = int(_is_near(scored_m, plane).sum())
-        if count > most:
-            best, most = plane, count
-    return best
-
-
-def _refit_plane(points_m: FloatArray, plane: FloatArray) -> FloatArray:
-    """The least-squares plane of the inliers of a plane, refitted a few times."""
-    for _ in range(_REFITS):
-        near_m = points_m[_is_near(points_m, plane)]
-        if len(near_m) < 3:
-            return plane
-        middle_m = near_m.mean(axis=0)
-        off_m = near_m - middle_m
-        normal = np.linalg.eigh(off_m.T @ off_m)[1][:, 0]
-        normal *= np.sign(normal @ plane[:3])
-        plane = np.append(normal, -float(normal @ middle_m))
-    return plane
