@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion_core.files.atomic import atomic_stream, cannot_write
+from fusion_core.files.npz import npz_entry
 from fusion_core.settings import StageSettings
 
 _CHUNK_BYTES = 1 << 20
@@ -65,10 +66,10 @@ class TruthWriter:
     def _write(self) -> None:
         with atomic_stream(self.path) as file, zipfile.ZipFile(file, "w") as archive:
             for name, array in self._fixed.items():
-                with archive.open(_entry(name), "w") as member:
+                with archive.open(npz_entry(name), "w") as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
             for name, stack in self._stacks.items():
-                with archive.open(_entry(name), "w", force_zip64=True) as member:
+                with archive.open(npz_entry(name), "w", force_zip64=True) as member:
                     stack.copy_to(member)
 
 
@@ -101,9 +102,3 @@ class _Stack:
 
     def close(self) -> None:
         self._file.close()
-
-
-def _entry(name: str) -> zipfile.ZipInfo:
-    entry = zipfile.ZipInfo(f"{name}.npy")
-    entry.compress_type = zipfile.ZIP_DEFLATED
-    return entry

@@ -1,20 +1,18 @@
 """Two named grids of a run fused cell by cell (Fu 2024 §3.2): alignment, both rules, report and
 files."""
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fusion_core.evaluation.truth_arrays import UNREADABLE_ARRAYS, read_arrays
 from fusion_core.exporting.figures_fusion import write_fusion_figure, write_misalignment_figure
 from fusion_core.exporting.manifest import require_intact
 from fusion_core.exporting.ros_map import trinary_pixels
-from fusion_core.files.atomic import atomic_stream
+from fusion_core.files.npz import write_arrays
 from fusion_core.mapping.bayes import cell_evidence, fuse_grids
 from fusion_core.mapping.grid_misalignment import (
     GridFusionSettings,
@@ -169,17 +167,6 @@ def write_fusion(folder: Path, fused: FusedGrids, heading: str) -> None:
     write_misalignment_figure(
         folder / "misalignment.png", heading, fused.given, {second: moved}, text
     )
-
-
-def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
-    """Arrays as .npz, the same bytes for the same arrays."""
-    with atomic_stream(path) as file, zipfile.ZipFile(file, "w") as archive:
-        for name, array in arrays.items():
-            # The date of an entry without one is in 1980.
-            entry = zipfile.ZipInfo(f"{name}.npy")
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            with archive.open(entry, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def read_evidence(folder: Path) -> dict[str, OccupancyGrid]:

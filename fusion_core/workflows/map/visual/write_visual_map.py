@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
-from fusion_core.files.atomic import atomic_stream
+from fusion_core.files.npz import write_arrays
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.trajectory import Trajectory
@@ -55,20 +55,19 @@ def write_visual_map(file: Path, visual_map: VisualMap, T_map_first: FloatArray)
     place = {keyframe.index: number for number, keyframe in enumerate(keyframes)}
     loops = [loop for loop in visual_map.loops if loop.first in place and loop.second in place]
     counts = [len(keyframe.features) for keyframe in keyframes]
-    with atomic_stream(file) as stream:
-        np.savez_compressed(
-            stream,
-            stamps_ns=np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64),
-            T_map_camera=T_map_first @ np.stack([keyframe.T_map_camera for keyframe in keyframes]),
-            offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            pixels=np.concatenate([keyframe.features.pixels for keyframe in keyframes]).astype(
-                np.float32
-            ),
-            # NO_LANDMARK takes the last place, which holds NO_LANDMARK.
-            landmarks=renumbered[np.concatenate([keyframe.landmarks for keyframe in keyframes])],
-            landmarks_in_map_m=transform_points(T_map_first, visual_map.positions_in_map_m[kept]),
-            loops=np.array(
-                [(place[loop.first], place[loop.second]) for loop in loops], np.int64
-            ).reshape(-1, 2),
-            loop_inliers=np.array([len(loop.matches) for loop in loops], np.int64),
-        )
+    arrays = {
+        "stamps_ns": np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64),
+        "T_map_camera": T_map_first @ np.stack([keyframe.T_map_camera for keyframe in keyframes]),
+        "offsets": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        "pixels": np.concatenate([keyframe.features.pixels for keyframe in keyframes]).astype(
+            np.float32
+        ),
+        # NO_LANDMARK takes the last place, which holds NO_LANDMARK.
+        "landmarks": renumbered[np.concatenate([keyframe.landmarks for keyframe in keyframes])],
+        "landmarks_in_map_m": transform_points(T_map_first, visual_map.positions_in_map_m[kept]),
+        "loops": np.array(
+            [(place[loop.first], place[loop.second]) for loop in loops], np.int64
+        ).reshape(-1, 2),
+        "loop_inliers": np.array([len(loop.matches) for loop in loops], np.int64),
+    }
+    write_arrays(file, arrays)
