@@ -21,7 +21,6 @@ from fusion_core.model.conventions import (
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import (
     invert_transform,
-    make_transform,
     planar_from_transform,
     transform_points,
 )
@@ -29,6 +28,7 @@ from fusion_core.model.planar_poses import compose_poses
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.feature_depths import sample_depths_m
 from fusion_core.motion.keyframe_chain import KeyframeChain
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.motion.planar_reprojection import (
@@ -36,6 +36,7 @@ from fusion_core.motion.planar_reprojection import (
     PlanarStepEstimate,
     estimate_planar_step,
 )
+from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.motion.steps import rotate_covariance
 from fusion_core.settings import StageSettings, setting
 
@@ -46,12 +47,6 @@ _LK_LEVELS = 1
 _LK_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 # OpenCV's 0.99 would lose one step in a hundred; the cap on draws bounds the time.
 _RANSAC_CONFIDENCE = 0.999
-# Offsets (row, column) of the pixels whose depth must agree with a feature's: itself and its four
-# neighbours.
-_DEPTH_NEIGHBOURS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-# Several times the depth noise at 8 m (0.003 · 8 = 2.4 %), below most steps between surfaces.
-# Set by hand.
-_DEPTH_EDGE_RATIO = 0.05
 
 
 class VisualOdometrySettings(StageSettings):
@@ -240,7 +235,7 @@ class _VisualOdometry:
         if descriptors is None or len(keypoints) < self._settings.inliers_min:
             return "too few features"
         pixels = np.array([point.pt for point in keypoints], dtype=np.float32)
-        depth_m = _sample_depths_m(frame, pixels)
+        depth_m = sample_depths_m(frame, pixels)
         settings = self._settings
         # NaN compares false.
         usable = (depth_m > settings.depth_min_m) & (depth_m < settings.depth_max_m)
@@ -341,34 +336,24 @@ class _VisualOdometry:
         self, points: FloatArray, seen: FloatArray
     ) -> tuple[FloatArray | None, BoolArray]:
         """PnP with RANSAC: the planar part of the LiDAR's step, and (M,) the inliers."""
-        none = np.zeros(len(points), dtype=np.bool_)
         in_camera = transform_points(invert_transform(self._T), points)
         settings = self._settings
-        try:
-            done, turn, shift, inliers = cv2.solvePnPRansac(
-                in_camera,
-                seen,
-                np.eye(3),
-                None,
-                iterationsCount=settings.ransac_draws,
-                reprojectionError=settings.ransac_threshold_px / self._focal_px,
-                confidence=_RANSAC_CONFIDENCE,
-                flags=cv2.SOLVEPNP_EPNP,
-            )
-        except cv2.error:
-            # Points in one place or on one line.
-            return None, none
-        if not done or inliers is None:
-            return None, none
-        mask = none.copy()
-        mask[np.asarray(inliers).reshape(-1)] = True
-        T_now_keyframe = make_transform(
-            np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
+        found = ransac_pnp(
+            in_camera,
+            seen,
+            np.eye(3),
+            draws=settings.ransac_draws,
+            threshold=settings.ransac_threshold_px / self._focal_px,
+            confidence=_RANSAC_CONFIDENCE,
+            method=cv2.SOLVEPNP_EPNP,
         )
+        if found is None:
+            return None, np.zeros(len(points), dtype=np.bool_)
+        T_now_keyframe, inliers = found
         step = planar_from_transform(
             self._T @ invert_transform(T_now_keyframe) @ invert_transform(self._T)
         )
-        return (step if np.isfinite(step).all() else None), mask
+        return (step if np.isfinite(step).all() else None), inliers
 
     def _accept_match(self, features: _Features, fit: PlanarStepEstimate, found: int) -> None:
         assert self._keyframe is not None, "a match has a keyframe"
@@ -407,22 +392,3 @@ class _VisualOdometry:
         return self._chain.to_trajectory(
             "visual", self._stamps_ns, scale_sigma=self._settings.depth_scale_sigma
         )
-
-
-def _sample_depths_m(frame: RgbdFrame, pixels: Float32Array) -> FloatArray:
-    """(M,) depth at pixels of the grey image, NaN where it is missing or at a depth edge."""
-    (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
-    column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)
-    row = np.floor((pixels[:, 1].astype(np.float64) + 0.5) * rows / height).astype(np.int64)
-    beside = np.stack(
-        [
-            frame.depth_m[np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)]
-            for down, right in _DEPTH_NEIGHBOURS
-        ]
-    ).astype(np.float64)
-    here = beside[0]
-    is_near = np.abs(beside - here) < _DEPTH_EDGE_RATIO * here
-    # A corner at a depth edge may be given the depth of the surface behind it.
-    is_flat = is_near.all(axis=0)
-    mean = beside.mean(axis=0)
-    return np.where(is_flat, mean, np.nan)

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
-from fusion_core.model.geometry import invert_transform, make_transform, transform_points
+from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.feature_matching import match_descriptors
 from fusion_core.slam.visual.features import SCALE_FACTOR
@@ -189,25 +190,18 @@ def _pose_by_ransac(
     if np.count_nonzero(has_depth) < _PNP_POINTS_MIN:
         return None
     seen = views[1 - source].pixels[matches[has_depth, 1 - source]]
-    try:
-        done, turn, shift, inliers = cv2.solvePnPRansac(
-            points[has_depth],
-            np.ascontiguousarray(seen, dtype=np.float64),
-            intrinsics.matrix,
-            None,
-            iterationsCount=settings.ransac_draws,
-            reprojectionError=settings.ransac_threshold_px,
-            confidence=_RANSAC_CONFIDENCE,
-            flags=cv2.SOLVEPNP_AP3P,
-        )
-    except cv2.error:
-        # Points in one place or on one line.
-        return None
-    if not done or inliers is None or len(inliers) < _PNP_POINTS_MIN:
-        return None
-    T_target_source = make_transform(
-        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
+    found = ransac_pnp(
+        points[has_depth],
+        seen,
+        intrinsics.matrix,
+        draws=settings.ransac_draws,
+        threshold=settings.ransac_threshold_px,
+        confidence=_RANSAC_CONFIDENCE,
+        method=cv2.SOLVEPNP_AP3P,
     )
+    if found is None or np.count_nonzero(found[1]) < _PNP_POINTS_MIN:
+        return None
+    T_target_source, _ = found
     if not np.isfinite(T_target_source).all():
         return None
     return T_target_source if source == 1 else invert_transform(T_target_source)

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
-from fusion_core.model.geometry import invert_transform, make_transform, transform_points
+from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
@@ -239,27 +240,18 @@ class Tracker:
     ) -> tuple[FloatArray, BoolArray] | None:
         fx, fy, cx, cy = self._camera
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        try:
-            done, turn, shift, inliers = cv2.solvePnPRansac(
-                np.ascontiguousarray(matches.positions_in_map_m),
-                np.ascontiguousarray(features.pixels[matches.features]),
-                K,
-                None,
-                iterationsCount=_RANSAC_DRAWS,
-                reprojectionError=self._settings.ransac_threshold_px,
-                confidence=_RANSAC_CONFIDENCE,
-                flags=cv2.SOLVEPNP_EPNP,
-            )
-        except cv2.error:
-            # Points in one place or on one line.
+        found = ransac_pnp(
+            matches.positions_in_map_m,
+            features.pixels[matches.features],
+            K,
+            draws=_RANSAC_DRAWS,
+            threshold=self._settings.ransac_threshold_px,
+            confidence=_RANSAC_CONFIDENCE,
+            method=cv2.SOLVEPNP_EPNP,
+        )
+        if found is None or np.count_nonzero(found[1]) < _MATCHES_WANTED:
             return None
-        if not done or inliers is None or len(inliers) < _MATCHES_WANTED:
-            return None
-        which = np.zeros(len(matches.features), np.bool_)
-        which[np.asarray(inliers).reshape(-1)] = True
-        R = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
-        T = make_transform(R, np.asarray(shift, np.float64).reshape(3))
-        return (T, which) if np.isfinite(T).all() else None
+        return found if np.isfinite(found[0]).all() else None
 
     def _checked(
         self, features: FrameFeatures, T_camera_map: FloatArray, matches: _Matches

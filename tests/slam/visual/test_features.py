@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.feature_depths import sample_depths_m
 from fusion_core.slam.visual.features import (
     FeatureExtractor,
     FeatureSettings,
-    sample_depths_m,
     spread_evenly,
     undistort_pixels,
 )
