@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.files.atomic import write_text
+from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MappingFailed, SettingsError
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
@@ -48,7 +49,7 @@ def map_visually(
     frames = RgbdFrames(
         recording,
         streams,
-        clock_offset_ns=round(options.clock_offset_ms * 1e6),
+        clock_offset_ns=round(options.clock_offset_ms * NS_PER_MS),
         purpose="Visual SLAM",
     )
     extrinsics = None
