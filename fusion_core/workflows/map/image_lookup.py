@@ -3,16 +3,13 @@
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_MS, ByteArray
+from fusion_core.model.conventions import ByteArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraIntrinsics, ColorImage
 from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.map.rgbd_frames import RgbdFrames
-
-# As far apart as colour and depth of one frame may be.
-_GAP_MAX_NS = 40 * NS_PER_MS
+from fusion_core.workflows.map.rgbd_frames import COLOR_GAP_MAX_NS, RgbdFrames, reduce_image
 
 
 class ImageLookup:
@@ -41,7 +38,7 @@ class ImageLookup:
         away_ns = np.abs(self._stamps_ns - (stamp_ns + self._clock_offset_ns))
         nearest = int(away_ns.argmin()) if away_ns.size else -1
         value = None
-        if nearest >= 0 and away_ns[nearest] <= _GAP_MAX_NS:
+        if nearest >= 0 and away_ns[nearest] <= COLOR_GAP_MAX_NS:
             value = self._recording.read(self._color, int(self._index[nearest])).value
         if not isinstance(value, ColorImage):
             raise MissingStream(
@@ -50,11 +47,7 @@ class ImageLookup:
                 advice="The run may be of another recording, or of another clock offset.",
             )
         camera = self.intrinsics
-        rgb = value.rgb
-        if rgb.shape[:2] != (camera.height, camera.width):
-            size = (camera.width, camera.height)
-            rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return _undistorted(rgb, camera)
+        return _undistorted(reduce_image(value.rgb, (camera.height, camera.width)), camera)
 
 
 def _undistorted(rgb: ByteArray, camera: CameraIntrinsics) -> ByteArray:

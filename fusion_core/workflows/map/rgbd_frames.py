@@ -27,7 +27,7 @@ from fusion_core.workflows.sensor_geometry import first_value
 from fusion_core.workflows.stamp_filter import StampFilter
 
 # A little over one period of a 30 Hz camera: the largest gap of unsynchronised colour and depth.
-_COLOR_GAP_MAX_NS = 40 * NS_PER_MS
+COLOR_GAP_MAX_NS = 40 * NS_PER_MS
 # A depth image waits for a colour image that is logged after it, so many images at most.
 _DEPTH_WAITING = 8
 # VGA, at which ORB-SLAM2 and the TUM benchmark work: more pixels cost time without better features.
@@ -140,7 +140,7 @@ class RgbdFrames:
 
     def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> RgbdFrame | None:
         nearest = nearest_stamp(
-            [image.stamp_ns for image in colors], depth.stamp_ns, _COLOR_GAP_MAX_NS
+            [image.stamp_ns for image in colors], depth.stamp_ns, COLOR_GAP_MAX_NS
         )
         if nearest is None:
             return None
@@ -149,13 +149,17 @@ class RgbdFrames:
         if (height, width) != (self.intrinsics.height, self.intrinsics.width):
             # Of another rig than the first.
             return None
-        rgb = color.rgb
-        if (height, width) != rgb.shape[:2]:
-            resized = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
-            rgb = np.asarray(resized, dtype=np.uint8)
+        rgb = reduce_image(color.rgb, (height, width))
         gray: ByteArray = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         stamp_ns = depth.stamp_ns - self._clock_offset_ns
         return RgbdFrame(stamp_ns=stamp_ns, gray=gray, depth_m=depth.depth_m, rgb=rgb)
+
+
+def reduce_image(rgb: ByteArray, shape: tuple[int, int]) -> ByteArray:
+    """The image with ``shape`` (height, width)."""
+    if rgb.shape[:2] == shape:
+        return rgb
+    return np.asarray(cv2.resize(rgb, shape[::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _scaled_shape(height: int, width: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from fusion_core.exporting.manifest import require_intact
 from fusion_core.model.conventions import (
     NS_PER_MS,
     NS_PER_S,
+    R_BODY_OPTICAL,
     ByteArray,
     Float32Array,
     FloatArray,
@@ -28,9 +29,7 @@ VISUAL_MAP = "visual_map.npz"
 _CAMERA_TRAJECTORY, _TRAJECTORY, _CLOUD = "trajectory_camera.tum", "trajectory.tum", "cloud.ply"
 _GRID = "camera"
 _NO_LANDMARK = -1
-T_BODY_CAMERA = make_transform(
-    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
-)
+T_BODY_CAMERA = make_transform(R_BODY_OPTICAL, np.zeros(3))
 """(4, 4) of optical axes (right, down, ahead) in body axes (ahead, left, up)."""
 
 
