@@ -7,9 +7,10 @@ from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntA
 
 
 def match_descriptors(
-    first: ByteArray, second: ByteArray, *, ratio_max: float, distance_max: float
+    first: ByteArray, second: ByteArray, *, ratio_max: float, distance_max: float = np.inf
 ) -> IntArray:
-    """(M, 2) rows of (A, 32) and (B, 32) descriptors that are each other's nearest.
+    """(M, 2) rows of (A, 32) and (B, 32) descriptors: of each of the second that is the nearest of
+    some of the first, the one that is nearest to it; ascending by the first.
 
     ``ratio_max``: of the distance to that of the second nearest (Lowe 2004).
     """

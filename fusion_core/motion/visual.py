@@ -29,6 +29,7 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.feature_depths import sample_depths_m
+from fusion_core.motion.feature_matching import match_descriptors
 from fusion_core.motion.keyframe_chain import KeyframeChain
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.motion.planar_reprojection import (
@@ -199,7 +200,6 @@ class _VisualOdometry:
         self._orb = cv2.ORB.create(
             nfeatures=settings.features_max, fastThreshold=settings.fast_threshold
         )
-        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         self._stamps_ns: list[int] = []
         self._chain = KeyframeChain()
         self._keyframe: _Features | None = None
@@ -260,7 +260,9 @@ class _VisualOdometry:
     def _match(self, keyframe: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
         """The step from a keyframe and its number of inliers, or why there is none."""
         settings = self._settings
-        first, second = self._match_descriptors(keyframe, now)
+        first, second = match_descriptors(
+            keyframe.descriptors, now.descriptors, ratio_max=settings.match_ratio
+        ).T
         has_depth = np.isfinite(keyframe.points_in_lidar_m[first, 2])
         first, second = first[has_depth], second[has_depth]
         if first.size < settings.inliers_min:
@@ -290,22 +292,6 @@ class _VisualOdometry:
         if np.sqrt(fit.covariance[:2, :2].trace()) > settings.step_sigma_max_m:
             return "matches that do not determine the motion"
         return fit, int(np.count_nonzero(fit.is_inlier))
-
-    def _match_descriptors(self, keyframe: _Features, now: _Features) -> tuple[IntArray, IntArray]:
-        """Indices of matching features: Lowe's ratio test, and one match per feature of the
-        image."""
-        pairs = self._matcher.knnMatch(keyframe.descriptors, now.descriptors, k=2)
-        ratio = self._settings.match_ratio
-        good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < ratio * p[1].distance]
-        best_of: dict[int, cv2.DMatch] = {}
-        for match in good:
-            other = best_of.get(match.trainIdx)
-            if other is None or match.distance < other.distance:
-                best_of[match.trainIdx] = match
-        ordered = sorted(best_of.values(), key=lambda match: match.queryIdx)
-        first = np.array([match.queryIdx for match in ordered], dtype=np.int64)
-        second = np.array([match.trainIdx for match in ordered], dtype=np.int64)
-        return first, second
 
     def _refine_pixels(
         self, keyframe: _Features, now: _Features, first: IntArray, second: IntArray

@@ -7,8 +7,8 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.geometry import transform_points
 from fusion_core.slam.visual.local_map import LandmarkViews
+from fusion_core.slam.visual.pinhole import project
 from fusion_core.slam.visual.projection_matching import predict_octaves
-from fusion_core.slam.visual.tracked_frame import project
 
 # Landmarks seen from more than 60 degrees off the directions from which keyframes saw them look
 # different (ORB-SLAM).

@@ -14,6 +14,7 @@ from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, BundleResult
 from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL, ObservationNoise
+from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.visual_map import VisualMap
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def adjust_globally(
         pixels=observations.pixels[rows],
         depths_m=observations.depths_m[rows],
         pixel_sigmas=noise.pixel_sigmas(observations.octaves[rows]),
-        camera=np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]),
+        camera=camera_parameters(intrinsics),
         depth_sigma_per_m2=noise.depth_sigma_per_m2,
     )
     result = adjust_sparse(problem, settings.iterations)

@@ -17,8 +17,8 @@ from fusion_core.slam.visual.features import octave_scales
 from fusion_core.slam.visual.landmark_descriptors import update_descriptors
 from fusion_core.slam.visual.local_map import landmark_views
 from fusion_core.slam.visual.observation_noise import CHI2_PIXEL, ObservationNoise
+from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
-from fusion_core.slam.visual.tracked_frame import camera_parameters
 from fusion_core.slam.visual.visual_map import NO_LANDMARK, Keyframe, VisualMap
 
 # A landmark must be seen by a second keyframe while this many more are made (ORB-SLAM2: three).

@@ -12,15 +12,15 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.feature_matching import match_descriptors
 from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.feature_matching import match_descriptors
 from fusion_core.slam.visual.features import SCALE_FACTOR
 from fusion_core.slam.visual.observation_noise import ObservationNoise
+from fusion_core.slam.visual.pinhole import camera_parameters, unproject
 from fusion_core.slam.visual.projection_matching import FeatureGrid, predict_octaves
 from fusion_core.slam.visual.relative_pose_refinement import (
     MeasuredFeatures,
-    points_from_pixels_m,
     project,
     refine_relative_pose,
 )
@@ -168,7 +168,7 @@ def measured(
 
 def points_in_camera_m(features: FrameFeatures, intrinsics: CameraIntrinsics) -> FloatArray:
     """(F, 3) in the optical frame, NaN without depth."""
-    return points_from_pixels_m(features.pixels, features.depths_m, intrinsics)
+    return unproject(features.pixels, features.depths_m, camera_parameters(intrinsics))
 
 
 def _pose_by_ransac(

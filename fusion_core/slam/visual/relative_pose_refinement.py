@@ -12,7 +12,9 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual import pinhole
 from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
+from fusion_core.slam.visual.pinhole import camera_parameters, unproject
 
 # Where a row of a match is not measured: it has no weight. Pixels squared and 1/m².
 _UNMEASURED_VARIANCE = 1e12
@@ -43,7 +45,7 @@ class MeasuredFeatures:
 
     def points_m(self, intrinsics: CameraIntrinsics) -> FloatArray:
         """(M, 3) in the view's optical frame, NaN without depth."""
-        return points_from_pixels_m(self.pixels, self.depths_m, intrinsics)
+        return unproject(self.pixels, self.depths_m, camera_parameters(intrinsics))
 
     def point_covariances(self, intrinsics: CameraIntrinsics) -> FloatArray:
         """(M, 3, 3) of ``points_m``."""
@@ -111,25 +113,9 @@ def small_motion(twist: FloatArray) -> FloatArray:
     return make_transform(Rotation.from_rotvec(twist[:3]).as_matrix(), twist[3:])
 
 
-def points_from_pixels_m(
-    pixels: FloatArray, depths_m: FloatArray, intrinsics: CameraIntrinsics
-) -> FloatArray:
-    """(N, 3) in the optical frame of (N, 2) pixels at (N,) depths, NaN without depth."""
-    u, v = pixels.T
-    x = (u - intrinsics.cx) / intrinsics.fx
-    y = (v - intrinsics.cy) / intrinsics.fy
-    return np.column_stack([x, y, np.ones(len(x))]) * depths_m[:, np.newaxis]
-
-
 def project(points_m: FloatArray, intrinsics: CameraIntrinsics) -> FloatArray:
     """(N, 2) pixels of (N, 3) points in the optical frame, NaN of those behind the camera."""
-    z = np.where(points_m[:, 2] > _DEPTH_MIN_M, points_m[:, 2], np.nan)
-    return np.column_stack(
-        [
-            intrinsics.fx * points_m[:, 0] / z + intrinsics.cx,
-            intrinsics.fy * points_m[:, 1] / z + intrinsics.cy,
-        ]
-    )
+    return pinhole.project(points_m, camera_parameters(intrinsics), _DEPTH_MIN_M)
 
 
 def _limits(degrees: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray
 from fusion_core.model.rgbd_frame import RgbdFrame
-from fusion_core.slam.visual.tracked_frame import unproject
+from fusion_core.slam.visual.pinhole import unproject
 
 # Points of each keyframe that a view shows.
 _POINTS_PER_VIEW = 800

@@ -6,36 +6,8 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, transform_points
-from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual.pinhole import unproject
 from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
-
-
-def camera_parameters(intrinsics: CameraIntrinsics) -> FloatArray:
-    """(4,) fx, fy, cx, cy."""
-    return np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float64)
-
-
-def unproject(pixels: FloatArray, depths_m: FloatArray, camera: FloatArray) -> FloatArray:
-    """(N, 3) in the optical frame; NaN where there is no depth."""
-    return np.column_stack(
-        [
-            (pixels[:, 0] - camera[2]) / camera[0] * depths_m,
-            (pixels[:, 1] - camera[3]) / camera[1] * depths_m,
-            depths_m,
-        ]
-    )
-
-
-def project(points_in_camera_m: FloatArray, camera: FloatArray) -> FloatArray:
-    """(N, 2) pixels; NaN of what lies behind the camera."""
-    z = points_in_camera_m[:, 2]
-    z = np.where(z > 1e-2, z, np.nan)
-    return np.column_stack(
-        [
-            camera[0] * points_in_camera_m[:, 0] / z + camera[2],
-            camera[1] * points_in_camera_m[:, 1] / z + camera[3],
-        ]
-    )
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

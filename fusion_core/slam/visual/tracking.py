@@ -13,18 +13,20 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.feature_matching import match_descriptors
 from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
 from fusion_core.slam.visual.local_map import LocalMap
 from fusion_core.slam.visual.observation_noise import ObservationNoise
+from fusion_core.slam.visual.pinhole import camera_parameters, project
 from fusion_core.slam.visual.pose_optimisation import PoseFit, optimise_pose
 from fusion_core.slam.visual.projection_matching import (
     DISTANCE_HIGH,
     FeatureGrid,
 )
-from fusion_core.slam.visual.tracked_frame import TrackedFrame, camera_parameters, project
+from fusion_core.slam.visual.tracked_frame import TrackedFrame
 from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures
 
 # The search radii of ORB-SLAM2 for RGB-D, on the finest level.
@@ -99,7 +101,6 @@ class Tracker:
         self._settings, self._noise, self._levels = settings, noise, levels
         self._size = (intrinsics.width, intrinsics.height)
         self._camera = camera_parameters(intrinsics)
-        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
 
     def track(
         self,
@@ -201,35 +202,23 @@ class Tracker:
     def _by_reference(
         self, features: FrameFeatures, local: LocalMap
     ) -> tuple[FloatArray, _Matches] | None:
-        return self.by_descriptors(
-            features, local.features, local.feature_landmarks, local.feature_positions_in_map_m
-        )
-
-    def by_descriptors(
-        self,
-        features: FrameFeatures,
-        others: FrameFeatures,
-        landmarks: IntArray,
-        positions_in_map_m: FloatArray,
-    ) -> tuple[FloatArray, _Matches] | None:
-        """T_camera_map by what the features of a keyframe see, wherever they lie in the image."""
+        """T_camera_map by what the features of the reference keyframe see, wherever they lie in the
+        image."""
+        others, positions_in_map_m = local.features, local.feature_positions_in_map_m
         seen = np.flatnonzero(np.isfinite(positions_in_map_m[:, 0]))
         if len(seen) < _MATCHES_WANTED or len(features) < _MATCHES_WANTED:
             return None
-        pairs = self._matcher.knnMatch(others.descriptors[seen], features.descriptors, k=2)
-        good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _RATIO_MAX * p[1].distance]
-        good.sort(key=lambda match: (match.distance, match.queryIdx))
-        first = np.array([match.queryIdx for match in good], np.int64)
-        second = np.array([match.trainIdx for match in good], np.int64)
-        _, unique = np.unique(second, return_index=True)
-        first, second = first[unique], second[unique]
+        pairs = match_descriptors(
+            others.descriptors[seen], features.descriptors, ratio_max=_RATIO_MAX
+        )
+        first, second = pairs[np.argsort(pairs[:, 1])].T
         alike = _turn_alike(others.angles_deg[seen[first]], features.angles_deg[second])
         first, second = seen[first[alike]], second[alike]
         if len(first) < _MATCHES_WANTED:
             return None
         matches = _Matches(
             features=second,
-            landmarks=landmarks[first],
+            landmarks=local.feature_landmarks[first],
             positions_in_map_m=positions_in_map_m[first],
         )
         start = self._by_pnp(features, matches)

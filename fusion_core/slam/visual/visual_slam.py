@@ -45,9 +45,10 @@ from fusion_core.slam.visual.local_mapping import (
 )
 from fusion_core.slam.visual.loop_closing import LoopCloser, RefusedLoop, VisualLoopSettings
 from fusion_core.slam.visual.observation_noise import ObservationNoise
+from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.relocalisation import LastKnownPose, relocalise
 from fusion_core.slam.visual.sampled_cloud import sample_cloud
-from fusion_core.slam.visual.tracked_frame import TrackedFrame, camera_parameters
+from fusion_core.slam.visual.tracked_frame import TrackedFrame
 from fusion_core.slam.visual.tracking import Tracker, TrackingLoss, TrackingSettings
 from fusion_core.slam.visual.visual_map import (
     NO_LANDMARK,
