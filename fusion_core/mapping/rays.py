@@ -45,6 +45,28 @@ def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> in
 
 
 @compiled()
+def _raised(log_odds: float, hit: float, highest: float) -> float:
+    """Log odds after a hit; NaN is unknown, which begins at 0."""
+    return min((0.0 if math.isnan(log_odds) else log_odds) + hit, highest)
+
+
+@compiled()
+def _lowered(log_odds: float, miss: float, lowest: float) -> float:
+    """Log odds after a pass."""
+    return max((0.0 if math.isnan(log_odds) else log_odds) + miss, lowest)
+
+
+@compiled()
+def _note_heights(seen_m: FloatArray, surface_m: FloatArray) -> None:
+    """Widen (2,) lowest and highest seen, in place, by those of a surface, (2,)."""
+    # A NaN compares false both ways.
+    if not seen_m[0] <= surface_m[0]:
+        seen_m[0] = surface_m[0]
+    if not seen_m[1] >= surface_m[1]:
+        seen_m[1] = surface_m[1]
+
+
+@compiled()
 def update_cells(
     log_odds: FloatArray,
     updated_in_scan: npt.NDArray[np.int32],
@@ -73,8 +95,7 @@ def update_cells(
         row = math.floor(ends[i, 1]) - first_row
         if is_hit[i] and updated_in_scan[row, column] != scan:
             updated_in_scan[row, column] = scan
-            before = log_odds[row, column]
-            log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
+            log_odds[row, column] = _raised(log_odds[row, column], hit, highest)
     cells = np.empty((log_odds.shape[0] + log_odds.shape[1], 2), dtype=np.int64)
     for i in range(ends.shape[0]):
         count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], cells)
@@ -82,8 +103,7 @@ def update_cells(
             row, column = cells[k, 0] - first_row, cells[k, 1] - first_column
             if updated_in_scan[row, column] != scan:
                 updated_in_scan[row, column] = scan
-                before = log_odds[row, column]
-                log_odds[row, column] = max((0.0 if math.isnan(before) else before) + miss, lowest)
+                log_odds[row, column] = _lowered(log_odds[row, column], miss, lowest)
 
 
 @compiled()
@@ -118,25 +138,16 @@ def update_cells_in_view(
         row = math.floor(behind[i, 1]) - first_row
         if updated_in_scan[row, column] != scan:
             updated_in_scan[row, column] = scan
-            before = log_odds[row, column]
-            log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
-        if not seen_m[row, column, 0] <= behind_surfaces_m[i, 0]:
-            seen_m[row, column, 0] = behind_surfaces_m[i, 0]
-        if not seen_m[row, column, 1] >= behind_surfaces_m[i, 1]:
-            seen_m[row, column, 1] = behind_surfaces_m[i, 1]
+            log_odds[row, column] = _raised(log_odds[row, column], hit, highest)
+        _note_heights(seen_m[row, column], behind_surfaces_m[i])
     for i in range(ends.shape[0]):
         column = math.floor(ends[i, 0]) - first_column
         row = math.floor(ends[i, 1]) - first_row
         if is_hit[i]:
             if updated_in_scan[row, column] != scan:
                 updated_in_scan[row, column] = scan
-                before = log_odds[row, column]
-                log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
-            # A NaN compares false both ways.
-            if not seen_m[row, column, 0] <= surfaces_m[i, 0]:
-                seen_m[row, column, 0] = surfaces_m[i, 0]
-            if not seen_m[row, column, 1] >= surfaces_m[i, 1]:
-                seen_m[row, column, 1] = surfaces_m[i, 1]
+                log_odds[row, column] = _raised(log_odds[row, column], hit, highest)
+            _note_heights(seen_m[row, column], surfaces_m[i])
     cells = np.empty((log_odds.shape[0] + log_odds.shape[1], 2), dtype=np.int64)
     for i in range(ends.shape[0]):
         count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], cells)
@@ -156,5 +167,4 @@ def update_cells_in_view(
             if seen_m[row, column, 1] < low_m or seen_m[row, column, 0] > high_m:
                 continue
             updated_in_scan[row, column] = scan
-            before = log_odds[row, column]
-            log_odds[row, column] = max((0.0 if math.isnan(before) else before) + miss, lowest)
+            log_odds[row, column] = _lowered(log_odds[row, column], miss, lowest)
