@@ -162,8 +162,11 @@ def test_windows_have_the_papers_scores_too(
 @pytest.mark.parametrize(
     ("fraction", "longest"), [(0.0, 1), (0.1, 30), (0.3, 3), (0.6, 40)], ids=str
 )
-def test_pearson_equals_dense_masked_products(fraction: float, longest: int) -> None:
-    curve, rows = room(1, 40, 180, 240)
+@pytest.mark.parametrize("size", [(40, 180, 240), (20, 320, 1080)], ids=["product", "FFT"])
+def test_pearson_equals_dense_masked_products(
+    size: tuple[int, int, int], fraction: float, longest: int
+) -> None:
+    curve, rows = room(1, *size)
     curve, rows = with_holes(curve, 2, fraction, longest), with_holes(rows, 3, fraction, longest)
     field = similarity_field(curve, rows, metric="pearson", min_overlap=0.1)
     expected = np.where(field.overlap >= 0.1, dense_pearson(curve, rows), np.nan)
@@ -261,6 +264,19 @@ def test_small_variance_on_a_large_offset_is_kept(dtype: type, offset_m: float) 
     )
     np.testing.assert_allclose(field.scores, expected, rtol=0, atol=1e-7)
     assert np.nanargmax(field.scores, axis=1).tolist() == [40, 90]
+
+
+def test_the_fft_keeps_a_small_variance_beside_a_far_burr() -> None:
+    """The rounding of an FFT is that of its greatest value, everywhere."""
+    rng = np.random.default_rng(26)
+    shape = rng.normal(0.0, 0.002, 1000)
+    curve, rows = 3.0 + shape, np.stack([3.0 + shape[100:400], 3.0 + shape[600:900]])
+    rows += rng.normal(0.0, 0.0005, rows.shape)
+    curve[950] = 65.535
+    field = similarity_field(curve, rows, metric="pearson")
+    expected, _ = brute_force(curve, rows, "pearson", range(701), 150)
+    np.testing.assert_allclose(field.scores, expected, rtol=0, atol=1e-9)
+    assert np.nanargmax(field.scores, axis=1).tolist() == [100, 600]
 
 
 def test_a_flat_window_beside_a_far_burr_has_no_pearson() -> None:
