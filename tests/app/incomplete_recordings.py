@@ -10,8 +10,8 @@ from scanloom.client_session import ClientSession
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import PANELS, View
 from tests.app.viser_client import ViserClient
+from tests.patience import ENOUGH_S
 
-LONG_S = 60.0
 TOPICS: dict[str, Sequence[str]] = {
     "lidar.mcap": ["/scan", "/odom", "/tf", "/tf_static"],
     "scans.mcap": ["/scan"],
@@ -41,7 +41,7 @@ class Reader:
 
     def __init__(self, workbench: Workbench, client: ViserClient) -> None:
         self._workbench, self._client = workbench, client
-        client.wait_until(lambda: bool(workbench.sessions), LONG_S)
+        client.wait_until(lambda: bool(workbench.sessions))
         self.wait()
 
     @property
@@ -71,11 +71,11 @@ class Reader:
                 and not shown.is_being_aligned
             )
 
-        self._client.wait_until(is_shown, LONG_S)
-        assert self.session.wait(LONG_S)
+        self._client.wait_until(is_shown)
+        assert self.session.wait(ENOUGH_S)
         # The browser has read everything once it has the view that is sent last.
         link = self.session.view.to_link()
-        self._client.wait_until(lambda: self._client.storage.get("view") == link, LONG_S)
+        self._client.wait_until(lambda: self._client.storage.get("view") == link)
 
     def html_with(self, sign: str) -> str:
         """The visible HTML that holds a sign."""

@@ -24,8 +24,7 @@ from scanloom.state import open_recording as open_recording_module
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View, view_of_link
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S
 
 
 class FakeClient:

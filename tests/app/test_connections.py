@@ -38,9 +38,9 @@ from tests.hostile.visitors import (
     place_of,
     upgrade_request,
 )
+from tests.patience import ENOUGH_S
 
 ROOT = Path(__file__).parents[2]
-ENOUGH_S = 240.0
 
 
 class Served:
@@ -109,7 +109,7 @@ def test_of_those_who_wait_the_longest_waiting_goes(
         for gone in every[:2]:
             with suppress(ConnectionError):
                 while True:
-                    gone.receive(ENOUGH_S)
+                    gone.receive()
             assert gone.closed_with is not None
         assert len(served.connections._pending) == 3
         assert all(client.closed_with is None for client in (ready, *every[2:]))
@@ -220,7 +220,7 @@ def test_a_page_of_another_version_is_reported_and_stdout_keeps_silent(
 ) -> None:
     with connect(served.address, version="0.0", with_camera=False) as client:
         with pytest.raises(ConnectionError):
-            client.receive(ENOUGH_S)
+            client.receive()
         assert isinstance(client.closed_with, websockets.exceptions.ConnectionClosedError)
         assert client.closed_with.rcvd is not None
         assert client.closed_with.rcvd.code == 1002
@@ -238,11 +238,11 @@ def test_no_message_prints_a_traceback(small_scene: Path) -> None:
             address = json.loads(server.stdout.readline())["address"]
             for _, data in malformed_messages():
                 with connect(address, storage={}) as client:
-                    client.find("Preset", timeout=ENOUGH_S)
+                    client.find("Preset")
                     with suppress(websockets.exceptions.ConnectionClosed):
                         client.send_bytes(data)
             with connect(address, storage={}) as client:
-                client.find(LAST_WIDGET, timeout=ENOUGH_S)
+                client.find(LAST_WIDGET)
             server.send_signal(signal.SIGINT)
             rest, errors = server.communicate(timeout=ENOUGH_S)
         finally:
@@ -265,6 +265,6 @@ def test_beside_forty_silent_pages_another_has_its_session_at_once(
         open_silent_sockets(workbench.address, 40),
         connect(workbench.address, storage=storage) as client,
     ):
-        client.wait_until(lambda: STORED_VIEW in storage, ENOUGH_S)
+        client.wait_until(lambda: STORED_VIEW in storage)
         # It waited for none of them, and none has a session.
         assert len(workbench.sessions) == 1

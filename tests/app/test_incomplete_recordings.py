@@ -20,7 +20,7 @@ from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.library import Library
 from scanloom.state.possible_steps import why_not
 from scanloom.state.view import View
-from tests.app.incomplete_recordings import LONG_S, TOPICS, Reader, plain, write_parts
+from tests.app.incomplete_recordings import TOPICS, Reader, plain, write_parts
 from tests.app.viser_client import ViserClient, connect
 
 # The steps that compare both sensors, with their keys.
@@ -302,13 +302,13 @@ def test_a_row_of_depth_alone_is_a_lidar_at_one_click(page: Reader, client: Vise
     assert button.props["visible"]
     rows = page.session.frame_view.raw.depth_m.shape[0]  # type: ignore[union-attr]  # it is shown
     client.click("Cut a LiDAR from the depth image")
-    client.wait_until(lambda: page.session.view.virtual_row == rows // 2, LONG_S)
+    client.wait_until(lambda: page.session.view.virtual_row == rows // 2)
     page.wait()
-    client.wait_until(lambda: page.session.frame_view.fused is not None, LONG_S)  # type: ignore[union-attr]  # it is shown
+    client.wait_until(lambda: page.session.frame_view.fused is not None)  # type: ignore[union-attr]  # it is shown
     # Where it is in the image is known.
     assert list(page.grey_steps) == ["Calibrate"]
     client.click("Show the depth images alone")
-    client.wait_until(lambda: page.session.view.virtual_row is None, LONG_S)
+    client.wait_until(lambda: page.session.view.virtual_row is None)
     page.wait()
     assert list(page.grey_steps) == list(MATCHING)
 
@@ -323,7 +323,7 @@ def test_the_map_step_runs_slam_alone(page: Reader, client: ViserClient) -> None
     run = client.find("Run")
     assert run.props["disabled"]
     client.click("Choose what this recording allows")
-    client.wait_until(lambda: not run.props["disabled"], LONG_S)
+    client.wait_until(lambda: not run.props["disabled"])
     assert page.session.view.slam.motion == "laser"
     assert not client.find("Choose what this recording allows").props["visible"]
     page.open("lidar.mcap", panel="Map")
@@ -334,10 +334,10 @@ def test_a_map_of_a_lidar_alone_lies_around_it(page: Reader, client: ViserClient
     (scene,) = [panel for panel in page.session.panels if isinstance(panel, ScenePanel)]
     page.open("lidar.mcap", panel="Map")
     run = client.find("Run")
-    client.wait_until(lambda: not run.props["disabled"], LONG_S)
+    client.wait_until(lambda: not run.props["disabled"])
     assert not scene._nodes.map._frame.visible
     client.click("Run")
-    client.wait_until(lambda: scene._nodes.map._frame.visible, LONG_S)
+    client.wait_until(lambda: scene._nodes.map._frame.visible)
     assert scene._grid is not None
     assert len(scene._path_m)
     before = tuple(scene._nodes.map._frame.position)
@@ -352,7 +352,7 @@ def test_a_map_of_a_lidar_alone_lies_around_it(page: Reader, client: ViserClient
 def test_a_link_that_names_a_topic_that_is_not_there(workbench: Workbench) -> None:
     link = View(recording="lidar.mcap", lidar_topic="/no<b>").to_link()
     with connect(workbench.address, storage={LINK_KEY: link}) as client:
-        note = client.wait_for(lambda one: one.type == "NotificationShowMessage", LONG_S)
+        note = client.wait_for(lambda one: one.type == "NotificationShowMessage")
         assert note.message["props"]["title"] == "lidar.mcap: has no topic '/no<b>'."
         assert note.message["props"]["body"].startswith("It holds /odom, /scan")
 

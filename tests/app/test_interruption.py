@@ -16,10 +16,10 @@ import pytest
 from scanloom.commands.interruption import Terminated, interruption, termination
 from scanloom.resources import sample_path
 from tests.app.viser_client import connect
+from tests.patience import ENOUGH_S
 
 ROOT = Path(__file__).parents[2]
-ENOUGH_S = 240.0
-ENDS_S = 20.0
+ENDS_S = 60.0
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ def test_a_build_that_is_ended_with_its_server_leaves_nothing(
         try:
             address = json.loads(server.stdout.readline())["address"]
             with connect(address) as client:
-                client.find("Build", timeout=ENOUGH_S)
+                client.find("Build")
                 # A button takes clicks a moment after it is shown.
                 deadline_s = time.monotonic() + ENOUGH_S
                 while not any(root.glob("*/results")) and time.monotonic() < deadline_s:
@@ -192,7 +192,7 @@ def test_pressed_again_and_again_while_it_closes(small_scene: Path) -> None:
             address = json.loads(server.stdout.readline())["address"]
             # A session that is being aligned, whose closing takes its time.
             with connect(address) as client:
-                client.find("Frame", timeout=ENOUGH_S)
+                client.find("Frame")
                 deadline_s = time.monotonic() + ENDS_S
                 while server.poll() is None and time.monotonic() < deadline_s:
                     server.send_signal(signal.SIGINT)

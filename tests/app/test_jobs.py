@@ -11,8 +11,7 @@ from fusion_core.model.progress import Progress
 from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled, LongJob
-
-LONG_S = 20.0
+from tests.patience import ENOUGH_S
 
 
 class Gate:
@@ -28,7 +27,7 @@ class Gate:
     def work(self, request: int, is_newest: Callable[[], bool]) -> None:
         self.begun.append(request)
         self.at_work.release()
-        assert self.may_go_on.acquire(timeout=LONG_S)
+        assert self.may_go_on.acquire(timeout=ENOUGH_S)
         if request < 0:
             raise ValueError(f"no work for {request}")
         if is_newest():
@@ -50,11 +49,11 @@ def worker(gate: Gate) -> Iterator[LatestOnlyWorker[int]]:
 
 def test_what_comes_in_between_is_never_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
     worker.submit(1)
-    assert gate.at_work.acquire(timeout=LONG_S)
+    assert gate.at_work.acquire(timeout=ENOUGH_S)
     for request in range(2, 200):
         worker.submit(request)
     gate.may_go_on.release(2)
-    assert worker.wait(LONG_S)
+    assert worker.wait(ENOUGH_S)
     # The first was no longer the newest when it was done.
     assert (gate.begun, gate.frame_view) == ([1, 199], [199])
 
@@ -65,17 +64,17 @@ def test_requests_one_after_the_other_are_all_done(
     for request in (3, 1, 2):
         gate.may_go_on.release()
         worker.submit(request)
-        assert worker.wait(LONG_S)
+        assert worker.wait(ENOUGH_S)
     assert gate.frame_view == [3, 1, 2]
 
 
 def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
     assert worker.wait(0.0)
     worker.submit(1)
-    assert gate.at_work.acquire(timeout=LONG_S)
+    assert gate.at_work.acquire(timeout=ENOUGH_S)
     assert not worker.wait(0.0)
     gate.may_go_on.release()
-    assert worker.wait(LONG_S)
+    assert worker.wait(ENOUGH_S)
 
 
 def test_a_failure_is_reported_and_the_next_request_is_done(
@@ -83,9 +82,9 @@ def test_a_failure_is_reported_and_the_next_request_is_done(
 ) -> None:
     gate.may_go_on.release(2)
     worker.submit(-1)
-    assert worker.wait(LONG_S)
+    assert worker.wait(ENOUGH_S)
     worker.submit(1)
-    assert worker.wait(LONG_S)
+    assert worker.wait(ENOUGH_S)
     assert [str(error) for error in gate.errors] == ["no work for -1"]
     assert gate.frame_view == [1]
 
@@ -94,11 +93,11 @@ def test_a_failure_is_reported_and_the_next_request_is_done(
 def test_a_closed_worker_shows_nothing_and_begins_nothing(gate: Gate, request_at_work: int) -> None:
     worker = LatestOnlyWorker("test", gate.work, gate.errors.append)
     worker.submit(request_at_work)
-    assert gate.at_work.acquire(timeout=LONG_S)
+    assert gate.at_work.acquire(timeout=ENOUGH_S)
     worker.submit(2)
     worker.close()
     gate.may_go_on.release(2)
-    worker._thread.join(LONG_S)
+    worker._thread.join(ENOUGH_S)
     assert not worker._thread.is_alive()
     assert (gate.begun, gate.frame_view, gate.errors) == ([request_at_work], [], [])
     assert worker.wait(0.0), "nobody waits for a closed worker"
@@ -129,7 +128,7 @@ def test_a_job_reports_its_steps_in_order_and_its_result() -> None:
         return "counted"
 
     ends = Ends()
-    assert ends.job(work).wait(LONG_S)
+    assert ends.job(work).wait(ENOUGH_S)
     assert ends.steps == [(done, 3, "counting") for done in range(3)]
     assert ends.ended == [("done", "counted")]
 
@@ -140,7 +139,7 @@ def test_a_failed_job_tells_its_error() -> None:
         raise OSError("no space left")
 
     ends = Ends()
-    assert ends.job(work).wait(LONG_S)
+    assert ends.job(work).wait(ENOUGH_S)
     assert ends.ended == [("failed", "no space left")]
 
 
@@ -151,18 +150,18 @@ def test_a_cancelled_job_stops_at_its_next_report_and_cleans_up() -> None:
         try:
             progress(1, 3, "working")
             begun.set()
-            assert cancelled.wait(LONG_S)
+            assert cancelled.wait(ENOUGH_S)
             progress(2, 3, "working")
         finally:
             cleaned.set()
 
     ends = Ends()
     job = ends.job(work)
-    assert begun.wait(LONG_S)
+    assert begun.wait(ENOUGH_S)
     assert not job.wait(0.0)
     job.cancel()
     cancelled.set()
-    assert job.wait(LONG_S)
+    assert job.wait(ENOUGH_S)
     assert ends.steps == [(1, 3, "working")]
     assert ends.ended == [("cancelled", None)]
     assert cleaned.is_set()
@@ -171,7 +170,7 @@ def test_a_cancelled_job_stops_at_its_next_report_and_cleans_up() -> None:
 def test_cancelling_a_job_that_has_ended_changes_nothing() -> None:
     ends = Ends()
     job = ends.job(lambda progress: 7)
-    assert job.wait(LONG_S)
+    assert job.wait(ENOUGH_S)
     job.cancel()
     assert ends.ended == [("done", 7)]
 
@@ -186,7 +185,7 @@ def test_work_that_is_cancelled_is_reported_to_nobody(gate: Gate) -> None:
     worker = LatestOnlyWorker("test", work, gate.errors.append)
     for request in (1, 2):
         worker.submit(request)
-        assert worker.wait(LONG_S)
+        assert worker.wait(ENOUGH_S)
     worker.close()
     assert (done, gate.errors) == ([1, 2], [])
 
@@ -219,7 +218,7 @@ class Queue:
 
     def until(self, condition: Callable[[], bool]) -> None:
         with self.changed:
-            assert self.changed.wait_for(condition, LONG_S)
+            assert self.changed.wait_for(condition, ENOUGH_S)
 
     def _work(self, number: int) -> None:
         def waiting() -> None:

@@ -11,6 +11,7 @@ from viser import _messages as messages
 
 from scanloom.server.message_filter import disable_share_tunnel, restrict_gui_updates
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S
 
 
 class ClientSession:
@@ -74,7 +75,7 @@ class ClientSession:
         """Wait until all that ``client`` has sent was looked at: messages keep their order."""
         self.ready.clear()
         client.set_value("last", f"{client.find('last').value}.")
-        assert self.ready.wait(5.0)
+        assert self.ready.wait(ENOUGH_S)
 
     def value(self, name: str) -> Any:
         return self.handles[name].value
@@ -99,7 +100,7 @@ def session(request: pytest.FixtureRequest) -> Iterator[ClientSession]:
 @pytest.fixture
 def client(session: ClientSession) -> Iterator[ViserClient]:
     with connect(f"http://127.0.0.1:{session.server.get_port()}") as client:
-        assert session.welcomed.wait(5.0)
+        assert session.welcomed.wait(ENOUGH_S)
         client.find("last")
         yield client
 
@@ -318,7 +319,7 @@ def test_one_browser_changes_nothing_of_anothers() -> None:
             theirs = two.find("whole").uuid
             one.update(theirs, {"value": 9})
             one.click("done")
-            assert done.wait(5.0)
+            assert done.wait(ENOUGH_S)
             assert [handle.value for handle in sessions.values()] == [5, 5]
             assert refused == []
     finally:
@@ -340,7 +341,7 @@ def test_no_browser_opens_a_tunnel(monkeypatch: pytest.MonkeyPatch) -> None:
             client.send({"type": "ShareUrlRequest"})
             client.send({"type": "ShareUrlDisconnect"})
             client.click("done")
-            assert pressed.wait(5.0)
+            assert pressed.wait(ENOUGH_S)
         assert asked.wait(5.0 if told else 0.0) is told
         server.stop()
 

@@ -4,6 +4,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 from scanloom.jobs.ordered_calls import OrderedCalls
+from tests.patience import ENOUGH_S
 
 
 def test_calls_are_made_in_order_and_one_at_a_time() -> None:
@@ -21,7 +22,7 @@ def test_calls_are_made_in_order_and_one_at_a_time() -> None:
         for number in range(500):
             calls.add(lambda number=number: call(number))  # type: ignore[misc]
         calls.add(done.set)
-        assert done.wait(60.0)
+        assert done.wait(ENOUGH_S)
     assert made == list(range(500))
 
 
@@ -32,5 +33,5 @@ def test_a_call_that_fails_does_not_hold_up_the_others() -> None:
         done = threading.Event()
         calls.add(lambda: 1 // 0)  # type: ignore[arg-type,return-value]
         calls.add(done.set)
-        assert done.wait(60.0)
+        assert done.wait(ENOUGH_S)
     assert isinstance(futures[0].exception(), ZeroDivisionError)

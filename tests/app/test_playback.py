@@ -8,8 +8,7 @@ from itertools import pairwise
 import pytest
 
 from scanloom.jobs.playback import Playback
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S, comes_true
 
 
 class Film:
@@ -92,9 +91,7 @@ def test_it_stops_at_the_end_with_the_last_frame_shown(film: Film, playback: Pla
     film.is_looping, film.frames, film.draw_s = False, 20, 0.03
     playback.toggle()
     film.until(lambda: film.numbers[-1:] == [19])
-    deadline_s = time.monotonic() + ENOUGH_S
-    while playback.is_playing:
-        assert time.monotonic() < deadline_s
+    assert comes_true(lambda: not playback.is_playing)
     assert film.numbers[-1] == 19
 
 

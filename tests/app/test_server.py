@@ -4,7 +4,6 @@ import base64
 import json
 import shutil
 import threading
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,8 +21,7 @@ from scanloom.state.view import View, view_of_link
 from tests.app.viser_client import connect
 from tests.hostile.names import NO_UTF8, SHOWN
 from tests.hostile.visitors import LAST_WIDGET
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S, comes_true
 
 
 @pytest.fixture
@@ -52,7 +50,7 @@ def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) 
     kept = view.changed(frame_index=4, panel="Match").with_setting("noise", "epsilon", 2.5)
     storage = {STORED_VIEW: kept.to_link()}
     with connect(workbench.address, storage=storage) as client:
-        client.wait_until(lambda: client_shows(client, "Frame", 5), ENOUGH_S)
+        client.wait_until(lambda: client_shows(client, "Frame", 5))
         assert desk_of(workbench).view == kept
 
 
@@ -62,8 +60,8 @@ def test_a_link_goes_before_what_was_kept_and_is_followed_once(
     linked, kept = view.changed(frame_index=6), view.changed(frame_index=4)
     storage = {STORED_VIEW: kept.to_link(), LINK_KEY: linked.to_link()}
     with connect(workbench.address, storage=storage) as client:
-        client.wait_until(lambda: client_shows(client, "Frame", 7), ENOUGH_S)
-        client.wait_until(lambda: storage[STORED_VIEW] == linked.to_link(), ENOUGH_S)
+        client.wait_until(lambda: client_shows(client, "Frame", 7))
+        client.wait_until(lambda: storage[STORED_VIEW] == linked.to_link())
     assert LINK_KEY not in storage
 
 
@@ -82,20 +80,20 @@ def test_a_link_that_cannot_be_followed_is_reported_and_the_kept_view_is_shown(
     with connect(workbench.address, storage=storage) as client:
         title, _ = next(notes_of(client))
         assert words in title
-        client.wait_until(lambda: client_shows(client, "Frame", 5), ENOUGH_S)
+        client.wait_until(lambda: client_shows(client, "Frame", 5))
 
 
 def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, view: View) -> None:
     storage = {STORED_VIEW: view.changed(panel="Match").to_link()}
     with connect(workbench.address, storage=storage) as client:
         row = client.find("v (row)", timeout=ENOUGH_S)
-        client.wait_until(lambda: row.value > 0.0, ENOUGH_S)
+        client.wait_until(lambda: row.value > 0.0)
         peak_row = row.value
         client.set_value("v (row)", -3.0)
         client.set_value("Offset", "Use")
         title, _ = next(notes_of(client))
         assert title.startswith("picked_offset.1: ")
-        client.wait_until(lambda: row.value == peak_row, ENOUGH_S)
+        client.wait_until(lambda: row.value == peak_row)
 
 
 def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
@@ -107,7 +105,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
         def pictures_in_sight() -> int:
             return sum(client.shows_picture(name) for name in ("depth", "similarity"))
 
-        client.wait_until(lambda: pictures_in_sight() == 2, ENOUGH_S)
+        client.wait_until(lambda: pictures_in_sight() == 2)
         session = desk_of(workbench)
         assert session.wait(ENOUGH_S)
         assert session.frame_view is not None
@@ -121,10 +119,10 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
         session.change(frame_index=13)
         title, body = next(notes_of(client))
         assert (title, body) == ("message 7 is damaged.", "Go on.")
-        client.wait_until(lambda: pictures_in_sight() == 0, ENOUGH_S)
+        client.wait_until(lambda: pictures_in_sight() == 0)
         monkeypatch.undo()
         session.change(frame_index=14)
-        client.wait_until(lambda: pictures_in_sight() == 2, ENOUGH_S)
+        client.wait_until(lambda: pictures_in_sight() == 2)
 
 
 @pytest.mark.parametrize("last_seen", ["Preset", "Frame", "v (row)"])
@@ -137,11 +135,11 @@ def test_a_session_ends_with_its_browser_even_half_built(
     def ended() -> bool:
         return not workbench.sessions and not threads()
 
-    assert within(ended)
+    assert comes_true(ended)
     with connect(workbench.address, storage={}) as client:
-        client.find(last_seen, timeout=ENOUGH_S)
+        client.find(last_seen)
         assert threads()
-    assert within(ended)
+    assert comes_true(ended)
 
 
 def test_a_view_that_cannot_be_opened_gives_way_to_the_one_before(
@@ -149,7 +147,7 @@ def test_a_view_that_cannot_be_opened_gives_way_to_the_one_before(
 ) -> None:
     storage = {STORED_VIEW: view.changed(frame_index=4).to_link()}
     with connect(workbench.address, storage=storage) as client:
-        client.wait_until(lambda: any(s.frame_view for s in workbench.sessions), ENOUGH_S)
+        client.wait_until(lambda: any(s.frame_view for s in workbench.sessions))
         session = desk_of(workbench)
         before = session.view
         session.change(recording="none\n.mcap", frame_index=0)
@@ -159,7 +157,7 @@ def test_a_view_that_cannot_be_opened_gives_way_to_the_one_before(
         assert "is not among the recordings" in props["title"]
         assert "\n" not in props["title"]
         assert props["auto_close_seconds"] is None
-        client.wait_until(lambda: session.view == before, ENOUGH_S)
+        client.wait_until(lambda: session.view == before)
 
 
 def test_names_that_are_no_utf8_reach_the_browser(small_scene: Path, tmp_path: Path) -> None:
@@ -167,26 +165,15 @@ def test_names_that_are_no_utf8_reach_the_browser(small_scene: Path, tmp_path: P
     shutil.copyfile(small_scene, recording)
     options = ServeOptions(recordings=[recording], port=0, output_root=tmp_path / NO_UTF8 / "out")
     with Workbench(options) as serving, connect(serving.address, storage={}) as client:
-        client.wait_until(lambda: client_says(client, SHOWN), ENOUGH_S)
+        client.wait_until(lambda: client_says(client, SHOWN))
         client.press("step", "Map")
         # The command for the shell, with both names as bytes.
-        client.wait_until(lambda: client_says(client, r"r\xff\xfe/out"), ENOUGH_S)
-
-
-def within(condition: Callable[[], bool]) -> bool:
-    """Whether a condition comes true in time."""
-    pause = threading.Event()
-    deadline_s = time.monotonic() + ENOUGH_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        pause.wait(0.05)
-    return True
+        client.wait_until(lambda: client_says(client, r"r\xff\xfe/out"))
 
 
 def desk_of(workbench: Workbench) -> ClientSession:
     """The one browser's session; that of the test before may still be going."""
-    assert within(lambda: len(workbench.sessions) == 1)
+    assert comes_true(lambda: len(workbench.sessions) == 1)
     return workbench.sessions[0]
 
 
@@ -228,7 +215,7 @@ def test_an_alignment_that_a_link_asked_for_ends_with_its_browser(
     with connect(
         workbench.address, storage={LINK_KEY: view.changed(virtual_row=61).to_link()}
     ) as client:
-        client.find(LAST_WIDGET, timeout=ENOUGH_S)
+        client.find(LAST_WIDGET)
         assert endless.began.wait(ENOUGH_S)
     assert endless.ended.wait(ENOUGH_S)
 
@@ -250,12 +237,12 @@ def test_a_build_ends_with_its_browser_and_leaves_nothing_behind(
         storage = {STORED_VIEW: view.changed(panel="Map").to_link()}
         with connect(own.address, storage=storage) as client:
             # By then a press is heard.
-            assert within(lambda: len(own.sessions) == 1)
+            assert comes_true(lambda: len(own.sessions) == 1)
             client.click("Build")
             assert endless.began.wait(ENOUGH_S)
             assert list(root.iterdir())
         assert endless.ended.wait(ENOUGH_S)
-        assert within(lambda: not list(root.iterdir()))
+        assert comes_true(lambda: not list(root.iterdir()))
 
 
 # Links of nonsense
@@ -287,9 +274,9 @@ def test_whatever_number_a_link_holds_its_page_is_served(
         if is_refused:
             title, _ = next(notes_of(client))
             assert title.startswith(f"the link cannot be followed: {name}")
-        client.wait_until(lambda: STORED_VIEW in storage, ENOUGH_S)
+        client.wait_until(lambda: STORED_VIEW in storage)
         before = storage[STORED_VIEW]
         # It is still there for what comes next.
-        client.trigger("Previous frame", timeout=ENOUGH_S)
-        client.wait_until(lambda: storage[STORED_VIEW] != before, ENOUGH_S)
+        client.trigger("Previous frame")
+        client.wait_until(lambda: storage[STORED_VIEW] != before)
         assert client.closed_with is None

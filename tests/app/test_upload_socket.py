@@ -4,9 +4,7 @@ connection outlives either."""
 import bz2
 import json
 import re
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,8 @@ import websockets.sync.client
 
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S, comes_true
 
-ENOUGH_S = 240.0
 LIMIT = 20_000_000
 FAILED = 'data-kind="failed" role="status"'
 
@@ -49,9 +47,9 @@ def workbench(
 @pytest.fixture
 def client(workbench: Workbench) -> Iterator[ViserClient]:
     with connect(workbench.address, storage={}) as client:
-        assert within(lambda: shown(workbench) == 1)
+        assert comes_true(lambda: shown(workbench) == 1)
         yield client
-    assert within(lambda: workbench.sessions == [])
+    assert comes_true(lambda: workbench.sessions == [])
 
 
 def shown(workbench: Workbench) -> int:
@@ -65,7 +63,7 @@ def text_of(client: ViserClient) -> str:
 
 def ticket_of(client: ViserClient) -> str:
     pattern = re.compile(r'data-upload="([\w-]+)"')
-    client.wait_until(lambda: pattern.search(text_of(client)) is not None, ENOUGH_S)
+    client.wait_until(lambda: pattern.search(text_of(client)) is not None)
     found = pattern.search(text_of(client))
     assert found is not None
     return found.group(1)
@@ -95,37 +93,28 @@ def upload(workbench: Workbench, client: ViserClient, name: str, content: bytes)
 
 
 def says(client: ViserClient, words: str) -> None:
-    client.wait_until(lambda: words in text_of(client), ENOUGH_S)
+    client.wait_until(lambda: words in text_of(client))
 
 
 def works(client: ViserClient) -> None:
     """The page answers."""
     client.press("open-dismiss", "")
-    client.wait_until(lambda: FAILED not in text_of(client), ENOUGH_S)
+    client.wait_until(lambda: FAILED not in text_of(client))
 
 
 def kept(temporary: Path) -> list[Path]:
     return [path for path in temporary.rglob("*") if path.is_file()]
 
 
-def within(condition: Callable[[], bool]) -> bool:
-    deadline_s = time.monotonic() + ENOUGH_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        threading.Event().wait(0.05)
-    return True
-
-
 def test_a_recording_is_taken_and_opened_and_goes_with_its_page(
     workbench: Workbench, small_scene: Path, temporary: Path
 ) -> None:
     with connect(workbench.address, storage={}) as client:
-        assert within(lambda: shown(workbench) == 1)
+        assert comes_true(lambda: shown(workbench) == 1)
         name = '../../<img src=x onerror="window.taken=1">.mcap'
         upload(workbench, client, name, small_scene.read_bytes())
         (session,) = workbench.sessions
-        assert within(
+        assert comes_true(
             lambda: session.frame_view is not None and "upload" in session.frame_view.view.recording
         )
         assert session.frame_view is not None
@@ -136,7 +125,7 @@ def test_a_recording_is_taken_and_opened_and_goes_with_its_page(
         # What was uploaded for one page is not remembered for others.
         assert name not in client.storage.get("recent", "")
         assert len(kept(temporary)) == 1
-    assert within(lambda: kept(temporary) == [])
+    assert comes_true(lambda: kept(temporary) == [])
 
 
 @pytest.mark.parametrize(
@@ -165,7 +154,7 @@ def test_what_is_no_recording_is_refused_and_deleted(
     upload(workbench, client, name, content)
     says(client, words)
     says(client, FAILED)
-    assert within(lambda: kept(temporary) == [])
+    assert comes_true(lambda: kept(temporary) == [])
     assert session.view == before
     works(client)
 
@@ -227,7 +216,7 @@ def test_an_upload_that_goes_wrong_is_deleted(
         for part in parts:
             socket.send(part)
     says(client, words)
-    assert within(lambda: kept(temporary) == [])
+    assert comes_true(lambda: kept(temporary) == [])
     works(client)
 
 
@@ -243,7 +232,7 @@ def test_a_part_of_more_than_the_servers_limit_ends_the_socket(
         with pytest.raises(websockets.exceptions.ConnectionClosed):
             socket.recv(ENOUGH_S)
     says(client, "the upload broke off")
-    assert within(lambda: kept(temporary) == [])
+    assert comes_true(lambda: kept(temporary) == [])
     works(client)
 
 

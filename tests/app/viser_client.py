@@ -20,6 +20,8 @@ import websockets.exceptions
 import websockets.sync.client
 import zstandard
 
+from tests.patience import ENOUGH_S
+
 # So often a condition is looked at without a message.
 _LOOK_S = 0.05
 CAMERA = {
@@ -101,7 +103,7 @@ class ViserClient:
         self._socket.close()
         self._reader.join(5.0)
 
-    def receive(self, timeout: float = 5.0) -> Received:
+    def receive(self, timeout: float = ENOUGH_S) -> Received:
         """The next message that was not taken yet. Raises TimeoutError where none comes."""
         try:
             received = self._arrived.get(timeout=timeout)
@@ -119,7 +121,9 @@ class ViserClient:
             taken.append(received)
         return taken
 
-    def wait_for(self, predicate: Callable[[Received], bool], timeout: float = 5.0) -> Received:
+    def wait_for(
+        self, predicate: Callable[[Received], bool], timeout: float = ENOUGH_S
+    ) -> Received:
         """The next message that fits; those before it are dropped. Raises as ``receive``."""
         deadline = time.monotonic() + timeout
         while True:
@@ -127,7 +131,7 @@ class ViserClient:
             if predicate(received):
                 return received
 
-    def wait_until(self, condition: Callable[[], bool], timeout: float = 5.0) -> None:
+    def wait_until(self, condition: Callable[[], bool], timeout: float = ENOUGH_S) -> None:
         """Wait until a condition holds: of the widgets, or of the server, which does not tell of
         every change. Raises TimeoutError where it does not."""
         deadline = time.monotonic() + timeout
@@ -147,7 +151,7 @@ class ViserClient:
         """Send anything at all."""
         self._socket.send(data)
 
-    def find(self, label: str, *, within: str | None = None, timeout: float = 5.0) -> Widget:
+    def find(self, label: str, *, within: str | None = None, timeout: float = ENOUGH_S) -> Widget:
         """The one widget with this label, once it is there.
 
         ``within``: the label of a folder or tab around it, where one label has several widgets.
@@ -203,7 +207,7 @@ class ViserClient:
         """Send a widget's update as it stands; return when it was sent."""
         return self.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
 
-    def trigger(self, label: str, *, timeout: float = 5.0) -> float:
+    def trigger(self, label: str, *, timeout: float = ENOUGH_S) -> float:
         """Run a command of the palette, as its key does; return when the message was sent."""
         self.wait_until(lambda: label in self.commands.values(), timeout)
         with self._changed:

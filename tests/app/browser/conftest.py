@@ -12,8 +12,9 @@ from playwright.sync_api import Browser, ViewportSize, expect, sync_playwright
 from fusion_core.workflows.convert import ConvertOptions, convert
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View
-from tests.app.browser.person import ENOUGH_S, Person, at_session
+from tests.app.browser.person import Person, at_session
 from tests.hostile.topics import write_with_hostile_names
+from tests.patience import ENOUGH_S
 
 # The processor draws the scene, which asks for each next frame with the same function: five frames
 # a second are enough of it. What the page asks for once, as for a drag, comes at once.

@@ -18,9 +18,9 @@ from scanloom.frame_view import FrameView
 from scanloom.page.events import PictureName
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import PanelName, View
+from tests.patience import ENOUGH_S
 
 # A fresh machine compiles what it calls first, beside other work.
-ENOUGH_S = 240.0
 
 # Null where another picture took the place of this one meanwhile.
 FETCH = """async image => {

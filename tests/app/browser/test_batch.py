@@ -9,7 +9,8 @@ from playwright.sync_api import Browser, Page, expect
 from fusion_core.workflows.batch.report import write_report
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.browser.conftest import CARD_OF_NO_NAME, FEW_FRAMES, SCREEN
-from tests.app.browser.person import ENOUGH_S, at_session
+from tests.app.browser.person import at_session
+from tests.patience import ENOUGH_S
 from tests.workflows.batch.made_outcomes import DAY_NS, MONDAY_NS, failed, fleet, frame, fused
 
 HOSTILE = "<img src=x onerror=alert(1)><script>alert(2)</script>"

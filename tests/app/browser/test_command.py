@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from urllib.request import urlopen
 
-from tests.app.browser.person import ENOUGH_S
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S
 
 ROOT = Path(__file__).parents[3]
 
@@ -36,7 +36,7 @@ def test_the_command_serves_until_it_is_interrupted(small_scene: Path) -> None:
                 assert b"<html" in page.read()
             with connect(address) as client:
                 title = f"<bdi>{small_scene.name}</bdi>"
-                client.wait_until(lambda: any_content(client, title), ENOUGH_S)
+                client.wait_until(lambda: any_content(client, title))
                 serving.send_signal(signal.SIGINT)
                 rest, errors = serving.communicate(timeout=10.0)
         finally:

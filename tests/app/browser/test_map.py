@@ -16,7 +16,8 @@ from fusion_core.workflows.fuse.session import FuseOptions
 from scanloom.jobs.build import Build, build
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import View
-from tests.app.browser.person import ENOUGH_S, Person, decoded
+from tests.app.browser.person import Person, decoded
+from tests.patience import ENOUGH_S
 
 VOXEL_M = 0.1
 

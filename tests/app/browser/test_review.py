@@ -15,7 +15,8 @@ from fusion_core.model.labels import NO_LABEL, Capture, Label
 from fusion_core.workflows.labels.open_store import LabelStore, open_labels
 from scanloom.panels.pictures import DepthImagePanel
 from scanloom.panels.profile import ProfilePanel
-from tests.app.browser.person import ENOUGH_S, Person
+from tests.app.browser.person import Person
+from tests.patience import ENOUGH_S
 
 ROOT = Path(__file__).parents[3]
 KEYS = {"1": Label.GOOD, "2": Label.HOLE, "3": Label.BURR, "4": Label.CONFLICT, "u": Label.UNSURE}

@@ -13,8 +13,9 @@ from fusion_core.model.errors import MappingFailed
 from scanloom.jobs import slam_run as job
 from scanloom.server.workbench import Workbench
 from scanloom.state.slam_choices import SlamChoices
-from tests.app.browser.person import ENOUGH_S, Person, decoded
+from tests.app.browser.person import Person, decoded
 from tests.app.slam_runs import SCANS, FakeMap
+from tests.patience import ENOUGH_S
 
 FIRST, SECOND = "1: lidar, recorded, pose-graph", "2: lidar, recorded, particle-filter (30)"
 

@@ -10,8 +10,9 @@ from playwright.sync_api import expect
 from scanloom.jobs import slam_run as job
 from scanloom.server.workbench import Workbench
 from scanloom.state.slam_choices import SlamChoices
-from tests.app.browser.person import ENOUGH_S, Person
+from tests.app.browser.person import Person
 from tests.app.visual_runs import FakeVisualMap, forward
+from tests.patience import ENOUGH_S
 
 RUN = "1: visual"
 

@@ -32,6 +32,7 @@ from scanloom.state.hand_pose import HandPose
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S, comes_true
 
 FRAME, OTHER_FRAME = 58, 80
 HOSTILE = '<b>"it & that".json'
@@ -59,15 +60,12 @@ class Bench:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what a message of the browser brings about, and until that is shown."""
-        deadline = time.monotonic() + 20.0
-        while not condition():
-            assert time.monotonic() < deadline, "not so within 20 s"
-            time.sleep(0.005)
-        assert self.session.wait(20.0)
+        assert comes_true(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def change(self, **values: object) -> None:
         self.session.change(**values)
-        assert self.session.wait(20.0)
+        assert self.session.wait(ENOUGH_S)
 
     def drag(self, phase: str, **pose: Any) -> None:
         kind = {"start": "DragStart", "update": "Update", "end": "DragEnd"}[phase]
@@ -104,11 +102,8 @@ def open_bench(library: Library, output: Path) -> Iterator[Bench]:
 
     with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
         browser.find("Yaw (°)")
-        deadline = time.monotonic() + 60.0
-        while not built or library.open(built[0][0].view).chain is None:
-            assert time.monotonic() < deadline, "the sample was not aligned within a minute"
-            time.sleep(0.02)
-        assert built[0][0].wait(20.0)
+        assert comes_true(lambda: bool(built) and library.open(built[0][0].view).chain is not None)
+        assert built[0][0].wait(ENOUGH_S)
         yield Bench(*built[0], browser, output)
         built[0][0].close()
     server.stop()
@@ -336,7 +331,7 @@ def test_a_pose_can_be_reset_to_what_the_recording_says(bench: Bench) -> None:
     bench.until(lambda: bench.session.view.extrinsics is None)
     assert bench.shown.now.agreement == estimated.agreement
     bench.browser.press("pose source", "nonsense")
-    assert bench.session.wait(5.0)
+    assert bench.session.wait(ENOUGH_S)
 
 
 def test_a_file_given_at_the_start_is_used_by_all_steps_until_it_is_reset(tmp_path: Path) -> None:

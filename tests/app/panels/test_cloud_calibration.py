@@ -1,6 +1,5 @@
 """The Calibrate panel on a recording of a turning LiDAR with a camera; the method is played."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +41,7 @@ from scanloom.state.library import Library
 from scanloom.state.possible_steps import why_not
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S, comes_true
 
 IMAGE = '/camera/<i>"image"'
 INTRINSICS = CameraIntrinsics(width=64, height=48, fx=50.0, fy=50.0, cx=31.5, cy=23.5)
@@ -167,11 +167,8 @@ class Bench:
     output: Path
 
     def until(self, condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 10.0
-        while not condition():
-            assert time.monotonic() < deadline, "not so within 10 s"
-            time.sleep(0.005)
-        assert self.session.wait(10.0)
+        assert comes_true(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def html(self, *words: str) -> str:
         self.browser.wait_until(lambda: bool(self._htmls(words)))
@@ -199,11 +196,8 @@ def bench(recording: Path, tmp_path: Path) -> Iterator[Bench]:
 
     with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
         browser.find("Opacity of the cloud")
-        deadline = time.monotonic() + 20.0
-        while not built or built[0][0].frame_view is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        assert built[0][0].wait(20.0)
+        assert comes_true(lambda: bool(built) and built[0][0].frame_view is not None)
+        assert built[0][0].wait(ENOUGH_S)
         yield Bench(*built[0], browser, tmp_path)
         built[0][0].close()
     server.stop()

@@ -21,8 +21,7 @@ from scanloom.panels.visual_stage import VisualStage
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
-
-LONG_S = 60.0
+from tests.patience import ENOUGH_S
 
 
 class Bench:
@@ -36,7 +35,7 @@ class Bench:
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
-        assert self.furnished.wait(LONG_S)
+        assert self.furnished.wait(ENOUGH_S)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         view = View(recording=next(iter(self.library.named())), panel="Map")
@@ -66,12 +65,12 @@ class Bench:
                 and widget.props["visible"]
             ]
 
-        self.client.wait_until(lambda: bool(found()), LONG_S)
+        self.client.wait_until(lambda: bool(found()))
         (widget,) = found()
         return widget
 
     def until(self, condition: Callable[[], bool]) -> None:
-        self.client.wait_until(condition, LONG_S)
+        self.client.wait_until(condition)
 
     def command(self) -> list[str]:
         """The words of the command that is shown."""
@@ -81,7 +80,7 @@ class Bench:
         return shlex.split(html.unescape(field[1]))
 
     def button(self, label: str) -> Widget:
-        return self.client.find(label, timeout=LONG_S)
+        return self.client.find(label)
 
     @property
     def picture(self) -> Widget:
@@ -109,7 +108,7 @@ class Held:
         progress = next(arg for arg in args if callable(arg))
         progress(3, 12, "fusing")
         self.begun.set()
-        assert self.go_on.wait(LONG_S)
+        assert self.go_on.wait(ENOUGH_S)
         try:
             progress(4, 12, "fusing")
         except Cancelled:
@@ -154,7 +153,7 @@ def test_cancel_and_build_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -
     held = Held()
     monkeypatch.setattr(map_panel, "build", held)
     bench.client.click("Build")
-    assert held.begun.wait(LONG_S)
+    assert held.begun.wait(ENOUGH_S)
     bench.html("Fusing, 3 of 12")
     bench.until(lambda: bench.button("Build").props["disabled"])
     # What a browser sends all the same begins no second build.
@@ -171,7 +170,7 @@ def test_cancel_and_build_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -
     bench.client.click("Build")
     bench.html("Failed: disk: no space is left. Free space.")
     told = bench.client.wait_for(
-        lambda received: received.type == "NotificationShowMessage", LONG_S
+        lambda received: received.type == "NotificationShowMessage", ENOUGH_S
     )
     assert told.message["props"]["title"] == "disk: no space is left."
     bench.until(lambda: not bench.button("Build").props["disabled"])
@@ -181,15 +180,15 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     held = Held()
     monkeypatch.setattr(map_panel, "build", held)
     bench.client.click("Build")
-    assert held.begun.wait(LONG_S)
+    assert held.begun.wait(ENOUGH_S)
     with bench.panel._lock:
         job = bench.panel._job._job
     assert job is not None
     closing = threading.Thread(target=bench.panel.close)
     closing.start()
-    assert job._stop.wait(LONG_S)
+    assert job._stop.wait(ENOUGH_S)
     held.go_on.set()
-    closing.join(LONG_S)
+    closing.join(ENOUGH_S)
     assert (held.calls, held.cancelled) == (1, 1)
     bench.panel._begin_build()
     assert not bench.panel._job.is_running, "who has gone begins nothing"

@@ -16,8 +16,7 @@ from scanloom.panels.match import MatchPanel
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
-
-LONG_S = 60.0
+from tests.patience import ENOUGH_S
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def open_recording(small_scene: Path) -> Iterator[OpenRecording]:
     library = Library([small_scene], [])
     found = library.open(View(recording=small_scene.name))
     found.align(lambda: None)
-    assert found.wait(LONG_S)
+    assert found.wait(ENOUGH_S)
     yield found
     library.close()
 

@@ -13,8 +13,8 @@ from scanloom.client_session import ClientSession
 from scanloom.panels.opening import STORED_RECENT
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S
 
-ENOUGH_S = 240.0
 HOSTILE = '<img src=x onerror="window.taken = 1"> ![a](b) \u202egpj.mcap'
 
 
@@ -66,7 +66,7 @@ class Page:
         return "".join(text for text in contents if 'class="scanloom-open' in text)
 
     def until(self, condition: object) -> None:
-        self.client.wait_until(condition, ENOUGH_S)  # type: ignore[arg-type]
+        self.client.wait_until(condition)  # type: ignore[arg-type]
 
     def says(self, words: str) -> None:
         self.until(lambda: words in self.text)

@@ -21,8 +21,8 @@ from scanloom.panels.register import RegisterPanel
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
+from tests.patience import ENOUGH_S
 
-LONG_S = 30.0
 FOLDER = "Recall over ε, by ground truth"
 
 
@@ -36,7 +36,7 @@ class Bench:
         self.server.on_client_connect(self._welcome)
         self.furnished = threading.Event()
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
-        assert self.furnished.wait(LONG_S)
+        assert self.furnished.wait(ENOUGH_S)
         self.until(
             lambda: (
                 self.session.frame_view is not None and self.session.frame_view.fused is not None
@@ -58,17 +58,17 @@ class Bench:
         self.server.stop()
 
     def until(self, condition: Callable[[], bool]) -> None:
-        self.client.wait_until(condition, LONG_S)
-        assert self.session.wait(LONG_S)
+        self.client.wait_until(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def change(self, **values: object) -> None:
         self.session.change(**values)
-        assert self.session.wait(LONG_S)
+        assert self.session.wait(ENOUGH_S)
 
     def epsilon(self, value: float, unit: str = "E") -> None:
         self.session.change_setting("noise", "epsilon_unit", unit)
         self.session.change_setting("noise", "epsilon", value)
-        assert self.session.wait(LONG_S)
+        assert self.session.wait(ENOUGH_S)
 
     def within(self, kind: str) -> Widget:
         """The one widget of a kind in the curve's folder."""
@@ -149,7 +149,7 @@ class Computed:
         progress = args[-1]
         progress(3, 12, "comparing with the truth")
         self.begun.set()
-        assert self.go_on.wait(LONG_S)
+        assert self.go_on.wait(ENOUGH_S)
         progress(4, 12, "comparing with the truth")
         if self.failure is not None:
             raise self.failure
@@ -240,7 +240,7 @@ def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) ->
     assert [args[1].registration.model for args in computed.calls] == ["rigid", "affine"]
     for model in ("rigid", "affine"):
         bench.session.change_setting("registration", "model", model)
-        assert bench.session.wait(LONG_S)
+        assert bench.session.wait(ENOUGH_S)
         bench.until(lambda: bench.sees("GuiUplotMessage") and not bench.sees("GuiButtonMessage"))
     assert len(computed.calls) == 2
 
@@ -260,7 +260,7 @@ def test_progress_is_shown_and_the_button_cancels(bench: Bench, computed: Comput
     job = bench.panel._recall._job
     assert job is not None
     bench.press()
-    assert job._stop.wait(LONG_S)
+    assert job._stop.wait(ENOUGH_S)
     computed.go_on.set()
     bench.until(lambda: bench.button.label == "Compute")
     assert not bench.sees("GuiProgressBarMessage")
@@ -269,7 +269,7 @@ def test_progress_is_shown_and_the_button_cancels(bench: Bench, computed: Comput
 
 def test_another_recording_cancels_what_is_computed(bench: Bench, computed: Computed) -> None:
     bench.press()
-    assert computed.begun.wait(LONG_S)
+    assert computed.begun.wait(ENOUGH_S)
     assert bench.session.frame_view is not None
     open_recording = bench.session.frame_view.open_recording
     bench.change(recording="alone.mcap")
@@ -337,7 +337,7 @@ def test_what_is_computed_waits_for_the_session(
             """It holds nothing."""
 
     monkeypatch.setattr(recall_module, "recall_of", recall_of)
-    monkeypatch.setattr(recall_module, "_MAX_IDLE_WAIT_S", LONG_S)
+    monkeypatch.setattr(recall_module, "_MAX_IDLE_WAIT_S", ENOUGH_S)
     bench.session.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a session needs one
     busy.set()
     bench.session.refresh()
@@ -349,11 +349,11 @@ def test_what_is_computed_waits_for_the_session(
 
 def test_a_browser_that_leaves_ends_what_it_asked_for(bench: Bench, computed: Computed) -> None:
     bench.press()
-    assert computed.begun.wait(LONG_S)
+    assert computed.begun.wait(ENOUGH_S)
     closing = threading.Thread(target=bench.panel.close)
     closing.start()
     computed.go_on.set()
-    closing.join(LONG_S)
+    closing.join(ENOUGH_S)
     assert bench.panel._recall._job is None
     bench.press()
     assert len(computed.calls) == 1

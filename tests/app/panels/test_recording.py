@@ -20,8 +20,7 @@ from scanloom.panels.stream_table import stream_table
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
-
-LONG_S = 120.0
+from tests.patience import ENOUGH_S
 
 
 class Bench:
@@ -34,7 +33,7 @@ class Bench:
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
-        assert self.furnished.wait(LONG_S)
+        assert self.furnished.wait(ENOUGH_S)
         self.until(
             lambda: (
                 self.session.frame_view is not None and self.session.frame_view.chain is not None
@@ -61,12 +60,12 @@ class Bench:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what some message brings about."""
-        self.client.wait_until(condition, LONG_S)
-        assert self.session.wait(LONG_S)
+        self.client.wait_until(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def change(self, **values: object) -> None:
         self.session.change(**values)
-        assert self.session.wait(LONG_S)
+        assert self.session.wait(ENOUGH_S)
 
     def boxes(self) -> dict[str, bool]:
         """The check boxes by label."""
@@ -82,7 +81,7 @@ class Bench:
         def found() -> list[str]:
             return [text for text in self.texts() if within in text]
 
-        self.client.wait_until(lambda: bool(found()), LONG_S)
+        self.client.wait_until(lambda: bool(found()))
         return found()[0]
 
     def texts(self) -> list[str]:
@@ -127,7 +126,7 @@ def depth_topics(bench: Bench) -> list[str]:
 
 def used(bench: Bench) -> tuple[str, ...]:
     """The depth topics of what is shown."""
-    assert bench.session.wait(LONG_S)
+    assert bench.session.wait(ENOUGH_S)
     return bench.frame_view.open_recording.fuse_session.streams.depth
 
 
@@ -292,7 +291,7 @@ def test_nothing_of_the_recording_before_is_reported_while_another_is_aligned(
     go_on = threading.Event()
 
     def wait(*_: object) -> None:
-        assert go_on.wait(LONG_S)
+        assert go_on.wait(ENOUGH_S)
         raise ValueError("of this test")
 
     monkeypatch.setattr("scanloom.state.open_recording.align_recording", wait)

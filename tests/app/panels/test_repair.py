@@ -1,7 +1,6 @@
 """The Repair panel on the sample, worked by a browser's messages: pictures, numbers and jumps."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -22,6 +21,7 @@ from scanloom.scene.frame_summary import conflict_runs, facts_of_beam
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S, comes_true
 
 # A frame of the sample with several conflicts, and one of a different table.
 FRAME, OTHER_FRAME = 58, 80
@@ -49,15 +49,12 @@ class Bench:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what a message of the browser brings about, and until that is shown."""
-        deadline = time.monotonic() + 10.0
-        while not condition():
-            assert time.monotonic() < deadline, "not so within 10 s"
-            time.sleep(0.005)
-        assert self.session.wait(10.0)
+        assert comes_true(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def change(self, **values: object) -> None:
         self.session.change(**values)
-        assert self.session.wait(10.0)
+        assert self.session.wait(ENOUGH_S)
 
     def html(self, *words: str) -> str:
         """The HTML that holds these words, as the browser has it."""
@@ -86,10 +83,7 @@ def module_bench() -> Iterator[Bench]:
 
     with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
         browser.find("Conflicts")
-        deadline = time.monotonic() + 60.0
-        while not built or library.open(built[0][0].view).chain is None:
-            assert time.monotonic() < deadline, "the sample was not aligned within a minute"
-            time.sleep(0.02)
+        assert comes_true(lambda: bool(built) and library.open(built[0][0].view).chain is not None)
         yield Bench(*built[0], browser)
         built[0][0].close()
     server.stop()

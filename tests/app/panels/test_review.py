@@ -17,10 +17,9 @@ from scanloom.panels.review import ReviewPanel
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.frame_runs import SENSORS
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S
 
 pytestmark = pytest.mark.slow
-
-ENOUGH_S = 240.0
 
 
 class Visit:
@@ -28,24 +27,24 @@ class Visit:
 
     def __init__(self, workbench: Workbench, client: ViserClient) -> None:
         self.client = client
-        client.find("page events", timeout=ENOUGH_S)
-        client.wait_until(lambda: bool(workbench.sessions), ENOUGH_S)
+        client.find("page events")
+        client.wait_until(lambda: bool(workbench.sessions))
         self.session: ClientSession = workbench.sessions[-1]
         self.panel = next(p for p in self.session.panels if isinstance(p, ReviewPanel))
         self.desk = self.panel._desk
         self.session.change(panel="Review", frame_index=0, selected_beam=None)
-        client.wait_until(lambda: self.panel._survey is not None, ENOUGH_S)
+        client.wait_until(lambda: self.panel._survey is not None)
 
     def begin(self, name: str) -> None:
         self.client.set_value("Your name", name)
         self.client.click("Begin the review")
-        self.client.wait_until(lambda: self.desk.layer == name, ENOUGH_S)
+        self.client.wait_until(lambda: self.desk.layer == name)
         self.until(lambda: self.panel._survey is not None and self.panel._survey.is_complete)
         self.session.refresh()
         self.until(lambda: self.desk.state().counted[0] > 10 and self.session.wait(ENOUGH_S))
 
     def until(self, condition: object) -> None:
-        self.client.wait_until(condition, ENOUGH_S)  # type: ignore[arg-type]  # a function
+        self.client.wait_until(condition)  # type: ignore[arg-type]  # a function
 
     def key(self, label: str) -> None:
         self.client.trigger(label)
@@ -62,7 +61,7 @@ class Visit:
 
     def told(self) -> str:
         """What the next notification says."""
-        note = self.client.wait_for(lambda one: one.type == "NotificationShowMessage", ENOUGH_S)
+        note = self.client.wait_for(lambda one: one.type == "NotificationShowMessage")
         props = note.message["props"]
         return f"{props['title']} {props['body']}"
 

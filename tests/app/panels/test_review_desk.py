@@ -14,8 +14,8 @@ from scanloom.client_session import ClientSession
 from scanloom.panels.review_desk import ReviewDesk
 from scanloom.state.recording_labels import RecordingLabels
 from scanloom.state.view import View
+from tests.patience import ENOUGH_S
 
-ENOUGH_S = 120.0
 ANSWERS = 40
 SCAN = Capture("lidar", "/scan", 5, 0, 1, ANSWERS)
 

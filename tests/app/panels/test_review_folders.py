@@ -1,7 +1,6 @@
 """The folders of the Review panel on a small room, worked by a browser's messages."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +25,8 @@ from scanloom.state.recording_labels import RecordingLabels
 from scanloom.state.review_choices import ReviewChoices
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
+from tests.patience import ENOUGH_S, comes_true
 
-LONG_S = 120.0
 # All frames are aligned and counted first.
 pytestmark = pytest.mark.slow
 
@@ -45,18 +44,15 @@ class Bench:
     def desk(self) -> ReviewDesk:
         return self.panel._desk
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what a message of the browser brings about, and until that is shown."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, f"not so within {timeout_s} s"
-            time.sleep(0.005)
-        assert self.session.wait(timeout_s)
+        assert comes_true(condition)
+        assert self.session.wait(ENOUGH_S)
 
     def choose(self, **choices: object) -> None:
         review = ReviewChoices.model_validate(choices)
         self.session.change(review=review)
-        assert self.session.wait(10.0)
+        assert self.session.wait(ENOUGH_S)
 
     def begin(self, name: str) -> None:
         """Begin as a person does, and go to the first run."""
@@ -64,7 +60,7 @@ class Bench:
         self.browser.set_value("Layer", "")
         self.browser.click("Begin the review")
         self.until(lambda: self.desk.layer == name and self.desk.labels is not None)
-        self.until(self.is_counted, LONG_S)
+        self.until(self.is_counted)
         self.desk.go(1)
         self.until(lambda: self.desk.state().number is not None)
 
@@ -121,7 +117,7 @@ def bench(module_bench: Bench) -> Iterator[Bench]:
     yield module_bench
     module_bench.desk.end()
     module_bench.session.refresh()
-    assert module_bench.session.wait(10.0)
+    assert module_bench.session.wait(ENOUGH_S)
 
 
 def test_known_answers_are_told_at_the_end_alone(bench: Bench) -> None:
@@ -303,7 +299,7 @@ def test_a_suggestion_is_shown_and_applied_by_one_press(bench: Bench) -> None:
         )
     bench.browser.set_value("By the labels of", "jana")
     bench.browser.click("Suggest ε and thresholds")
-    bench.until(lambda: "By the labels of <bdi" in bench.shown(), LONG_S)
+    bench.until(lambda: "By the labels of <bdi" in bench.shown())
     expected = suggest_thresholds(
         labelled_frames(frame_view.chain, frame_view.view.settings, bench.labels.layer("jana")),
         frame_view.chain.alignment,
@@ -336,5 +332,5 @@ def test_labels_of_one_kind_suggest_nothing(bench: Bench) -> None:
     bench.desk.answer(Label.GOOD)
     bench.browser.set_value("By the labels of", "karl")
     bench.browser.click("Suggest ε and thresholds")
-    bench.until(lambda: "The labels do not tell" in bench.shown(), LONG_S)
+    bench.until(lambda: "The labels do not tell" in bench.shown())
     assert "Apply</button>" not in bench.shown()

@@ -30,8 +30,7 @@ from scanloom.scene.visual_shapes import Boxes
 from scanloom.state.view import View
 from tests.app import slam_runs
 from tests.app.slam_runs import MapOptions, room
-
-LONG_S = 30.0
+from tests.patience import ENOUGH_S
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ def test_an_octree_is_drawn_as_boxes_at_a_depth(server: viser.ViserServer, tmp_p
     assert layer._kind.visible
     assert not layer._depth.visible
     choose(layer._kind, OCTREE)
-    assert stage.drawn.wait(LONG_S)
+    assert stage.drawn.wait(ENOUGH_S)
     assert layer._depth.visible
     (finest,) = [boxes for boxes in stage.boxes if boxes is not None]
     octree = read_run_octree(results_in(tmp_path))
@@ -181,7 +180,7 @@ def test_an_octree_is_drawn_as_boxes_at_a_depth(server: viser.ViserServer, tmp_p
     assert len(finest.middles_m) == 100
     stage.drawn.clear()
     choose(layer._depth, 15)
-    assert stage.drawn.wait(LONG_S)
+    assert stage.drawn.wait(ENOUGH_S)
     coarser = stage.boxes[-1]
     np.testing.assert_allclose(coarser.sizes_m, 0.2, atol=1e-6)
     assert len(coarser.middles_m) < 100

@@ -21,8 +21,8 @@ from scanloom.state.hover import Hover
 from scanloom.state.library import Library
 from scanloom.state.view import PANELS, View, view_of_link
 from tests.app.viser_client import CAMERA, Received, ViserClient, connect
+from tests.patience import ENOUGH_S
 
-ENOUGH_S = 240.0
 MOVES = {"SetCameraPositionMessage"}
 
 
@@ -46,7 +46,7 @@ class Bench:
         mark = self.session._client.gui.add_html("<i>mark</i>")
         taken = []
         while True:
-            received = self.browser.receive(ENOUGH_S)
+            received = self.browser.receive()
             taken.append(received)
             if received.message.get("uuid") == mark._impl.uuid:
                 break
@@ -118,7 +118,7 @@ def test_keys_go_to_the_viewpoints(bench: Bench) -> None:
     for name in ("From above", "As the camera", "Reset view"):
         bench.browser.drain()
         bench.browser.trigger(name)
-        bench.browser.wait_for(lambda received: received.type in MOVES, ENOUGH_S)
+        bench.browser.wait_for(lambda received: received.type in MOVES)
         places[name] = tuple(map(float, camera.position))
     assert len(set(places.values())) == 3
     assert places["From above"][2] == max(place[2] for place in places.values())
@@ -141,14 +141,14 @@ def test_a_screen_of_another_shape_is_fitted_unless_a_person_has_moved(bench: Be
         bench.browser.wait_until(lambda: camera.image_width == width_px)
 
     tell(600, 0.0)
-    bench.browser.wait_for(lambda received: received.type in MOVES, ENOUGH_S)
+    bench.browser.wait_for(lambda received: received.type in MOVES)
     tell(1200, 0.5)
     assert moves(bench.sent()) == 0
     tell(600, 0.0)
     assert moves(bench.sent()) == 0
     bench.panel.reset_view()
     tell(1280, 0.0)
-    bench.browser.wait_for(lambda received: received.type in MOVES, ENOUGH_S)
+    bench.browser.wait_for(lambda received: received.type in MOVES)
 
 
 def test_each_step_has_its_layers_and_each_layer_a_step() -> None:
@@ -208,9 +208,9 @@ def test_what_is_pointed_at_lights_up(bench: Bench) -> None:
     hover = session._client.scene.get_handle_by_name("/frame/hover")
     row, column = int(pairs.row[found]), int(pairs.column[found])
     session.hover(Hover(source="depth", row=row, column=column))
-    bench.browser.wait_until(lambda: hover.visible, ENOUGH_S)
+    bench.browser.wait_until(lambda: hover.visible)
     session.hover(Hover())
-    bench.browser.wait_until(lambda: not hover.visible, ENOUGH_S)
+    bench.browser.wait_until(lambda: not hover.visible)
 
 
 def test_a_dark_page_has_a_dark_scene(bench: Bench) -> None:

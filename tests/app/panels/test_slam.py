@@ -32,8 +32,8 @@ from scanloom.state.slam_runs import MAX_RUNS
 from scanloom.state.view import View, view_of_link
 from tests.app.slam_runs import SCANS, FakeMap, view_at
 from tests.app.viser_client import ViserClient, Widget, connect
+from tests.patience import ENOUGH_S
 
-LONG_S = 60.0
 FIRST = "1: lidar, recorded, pose-graph"
 
 
@@ -60,7 +60,7 @@ class Page:
         self.client.close()
 
     def until(self, condition: Callable[[], bool]) -> None:
-        self.client.wait_until(condition, LONG_S)
+        self.client.wait_until(condition)
 
     def says(self, words: str) -> bool:
         return any(
@@ -72,7 +72,7 @@ class Page:
         self.until(lambda: self.says(words))
 
     def widget(self, label: str) -> Widget:
-        return self.client.find(label, timeout=LONG_S)
+        return self.client.find(label)
 
     def pictures(self) -> list[Widget]:
         """Live and its effective number; a run, its effective number and weights; both, apart."""
@@ -123,7 +123,7 @@ class Bench:
 
     def arrive(self) -> Page:
         client = connect(f"http://127.0.0.1:{self.server.get_port()}")
-        assert self.furnished.acquire(timeout=LONG_S)
+        assert self.furnished.acquire(timeout=ENOUGH_S)
         self.pages[-1].client = client
         self.pages[-1].until_says("scanloom map")
         return self.pages[-1]
@@ -165,7 +165,7 @@ class Gate:
     def _wait(self, number: int) -> None:
         if number == self._scan:
             self.begun.set()
-            assert self.go_on.wait(LONG_S)
+            assert self.go_on.wait(ENOUGH_S)
 
 
 def test_a_run_shows_its_map_its_report_and_its_floor(page: Page, bench: Bench) -> None:
@@ -198,7 +198,7 @@ def test_the_panel_moves_while_it_runs(page: Page, fake: FakeMap) -> None:
     page.client.set_value("SLAM", "particle-filter")
     page.until(lambda: page.widget("Particles").props["visible"])
     page.client.click("Run")
-    assert gate.begun.wait(LONG_S)
+    assert gate.begun.wait(ENOUGH_S)
     page.until(lambda: page.frame_view()[0] and page.frame_view()[1])
     assert page.widget("Run").props["disabled"]
     page.until_says("Matching scans")
@@ -215,7 +215,7 @@ def test_the_panel_moves_while_it_runs(page: Page, fake: FakeMap) -> None:
 def test_cancel_and_run_again(page: Page, fake: FakeMap) -> None:
     gate = Gate(fake, 10)
     page.client.click("Run")
-    assert gate.begun.wait(LONG_S)
+    assert gate.begun.wait(ENOUGH_S)
     # What a browser sends all the same begins no second run.
     page.panel._slam._begin()
     page.client.click("Cancel run")
@@ -238,7 +238,7 @@ def test_a_failure_is_reported_with_advice_and_the_panel_goes_on(
     monkeypatch.setattr(job, "build_map", fail)
     page.client.click("Run")
     page.until_says("Failed: room: <i>holds no scan. Take another one.")
-    told = page.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    told = page.client.wait_for(lambda got: got.type == "NotificationShowMessage")
     assert told.message["props"]["title"] == "room: <i>holds no scan."
     assert told.message["props"]["body"] == "Take another one."
     assert not any("<i>" in str(w.props.get("content")) for w in page.client.widgets.values())
@@ -251,7 +251,7 @@ def test_a_run_that_does_not_fit_is_shown_with_a_warning(page: Page, fake: FakeM
     fake.fits = False
     page.run(FIRST)
     page.until_says("Not reliable:")
-    page.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    page.client.wait_for(lambda got: got.type == "NotificationShowMessage")
     page.until(lambda: page.frame_view()[2])
 
 
@@ -312,7 +312,7 @@ def test_download_save_and_command(page: Page, bench: Bench) -> None:
     assert page.command()[4] == str(folder / "results")
     page.client.drain()
     page.client.click("Download run (.zip)")
-    part = page.client.wait_for(lambda got: got.type == "FileTransferPart", LONG_S)
+    part = page.client.wait_for(lambda got: got.type == "FileTransferPart")
     with zipfile.ZipFile(io.BytesIO(part.message["content"])) as archive:
         names = {Path(name).name for name in archive.namelist()}
     assert names == {
@@ -350,16 +350,16 @@ def test_each_browser_has_its_own_runs_and_takes_them_along(bench: Bench, fake: 
 def test_closing_cancels_and_clears_away(page: Page, fake: FakeMap) -> None:
     gate = Gate(fake, 10)
     page.client.click("Run")
-    assert gate.begun.wait(LONG_S)
+    assert gate.begun.wait(ENOUGH_S)
     with page.panel._slam._lock:
         job_at_work, folder = page.panel._slam._job._job, page.panel._slam._folder
     assert job_at_work is not None
     assert folder is not None
     closing = threading.Thread(target=page.panel.close)
     closing.start()
-    assert job_at_work._stop.wait(LONG_S)
+    assert job_at_work._stop.wait(ENOUGH_S)
     gate.go_on.set()
-    closing.join(LONG_S)
+    closing.join(ENOUGH_S)
     assert not folder.exists()
     page.panel._slam._begin()
     assert not page.panel._slam._job.is_running, "who has gone begins nothing"

@@ -20,8 +20,8 @@ from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
 from tests.app.visual_runs import EVERY, FakeVisualMap, forward
+from tests.patience import ENOUGH_S
 
-LONG_S = 60.0
 RUN = "1: visual"
 
 
@@ -35,7 +35,7 @@ class Page:
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
-        assert self.furnished.wait(LONG_S)
+        assert self.furnished.wait(ENOUGH_S)
         self.until_says("scanloom map")
 
     def _welcome(self, client: viser.ClientHandle) -> None:
@@ -61,7 +61,7 @@ class Page:
         self.library.close()
 
     def until(self, condition: Callable[[], bool]) -> None:
-        self.client.wait_until(condition, LONG_S)
+        self.client.wait_until(condition)
 
     def says(self, words: str) -> bool:
         return any(
@@ -74,7 +74,7 @@ class Page:
         self.until(lambda: self.says(words))
 
     def run(self) -> None:
-        self.until(lambda: not self.client.find("Run", timeout=LONG_S).props["disabled"])
+        self.until(lambda: not self.client.find("Run").props["disabled"])
         self.client.click("Run")
 
     def run_to_end(self) -> None:
@@ -103,11 +103,11 @@ def test_the_map_grows_while_it_works_and_can_be_cancelled(page: Page, fake: Fak
     def wait(number: int) -> None:
         if number == 1:
             begun.set()
-            assert go_on.wait(LONG_S)
+            assert go_on.wait(ENOUGH_S)
 
     fake.at_keyframe = wait
     page.run()
-    assert begun.wait(LONG_S)
+    assert begun.wait(ENOUGH_S)
     page.until(lambda: page.stage.has_map)
     page.until_says("1 image placed, 1 keyframe, 0 loops closed.")
     assert page.stage._nodes._path._handle is not None

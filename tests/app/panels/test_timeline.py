@@ -13,8 +13,7 @@ from scanloom.panels.timeline import TimelinePanel
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.frame_survey import FrameCounts, FrameStatus
 from tests.app.viser_client import ViserClient, connect
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S
 
 
 class Visit:
@@ -22,13 +21,13 @@ class Visit:
 
     def __init__(self, workbench: Workbench, client: ViserClient) -> None:
         self.client = client
-        client.find("page events", timeout=ENOUGH_S)
-        client.wait_until(lambda: bool(workbench.sessions), ENOUGH_S)
+        client.find("page events")
+        client.wait_until(lambda: bool(workbench.sessions))
         (self.session,) = workbench.sessions
         self.panel = next(p for p in self.session.panels if isinstance(p, TimelinePanel))
 
     def until_aligned(self) -> None:
-        self.client.wait_until(lambda: self.panel._counts is not None, ENOUGH_S)
+        self.client.wait_until(lambda: self.panel._counts is not None)
 
     @property
     def counts(self) -> FrameCounts:
@@ -49,13 +48,13 @@ class Visit:
         return text in self.html('class="scanloom-frame"')
 
     def until_says(self, text: str) -> None:
-        self.client.wait_until(lambda: self.says(text), ENOUGH_S)
+        self.client.wait_until(lambda: self.says(text))
 
     def at(self, frame_index: int) -> bool:
         return self.session.view.frame_index == frame_index and self.session.wait(ENOUGH_S)
 
     def until_at(self, frame_index: int) -> None:
-        self.client.wait_until(lambda: self.at(frame_index), ENOUGH_S)
+        self.client.wait_until(lambda: self.at(frame_index))
 
     def button(self, value: str) -> str:
         found = re.search(
@@ -83,7 +82,7 @@ def resident(workbench: Workbench) -> Iterator[Visit]:
     with connect(workbench.address, storage={}) as client:
         visit = Visit(workbench, client)
         visit.until_aligned()
-        client.wait_until(lambda: visit.counts.is_complete, ENOUGH_S)
+        client.wait_until(lambda: visit.counts.is_complete)
         yield visit
 
 
@@ -165,7 +164,7 @@ def test_a_button_without_a_frame_to_go_to_says_why(visit: Visit) -> None:
 
     panel._survey = Counted()  # type: ignore[assignment]  # as far as it is needed
     panel._redraw()
-    visit.client.wait_until(lambda: " disabled" in visit.button("worst"), ENOUGH_S)
+    visit.client.wait_until(lambda: " disabled" in visit.button("worst"))
     assert "No noise" in visit.button("worst")
     assert "No frame of this recording has a conflict" in visit.button("next_conflict")
     Counted.counts = FrameCounts(
@@ -175,11 +174,11 @@ def test_a_button_without_a_frame_to_go_to_says_why(visit: Visit) -> None:
         total=30,
     )
     panel._redraw()
-    visit.client.wait_until(lambda: "counted yet" in visit.button("worst"), ENOUGH_S)
+    visit.client.wait_until(lambda: "counted yet" in visit.button("worst"))
     visit.until_says("counting noise: 0 of 30 frames")
     panel._survey = survey
     panel._redraw()
-    visit.client.wait_until(lambda: " disabled" not in visit.button("worst"), ENOUGH_S)
+    visit.client.wait_until(lambda: " disabled" not in visit.button("worst"))
     assert visit.counts is own
 
 
@@ -230,7 +229,7 @@ def test_the_pointer_on_the_strip_reads_out_the_frame_and_sends_no_picture(visit
     assert place is not None
     visit.client.drain()
     visit.client.point("time", "move", *place)
-    visit.client.wait_until(lambda: "frame 7 of 30" in visit.picture()["readout"], ENOUGH_S)
+    visit.client.wait_until(lambda: "frame 7 of 30" in visit.picture()["readout"])
     pairs = visit.counts.counts[6].astype(int)
     for count, name in zip(pairs[1:], ("hole", "burr", "conflict"), strict=True):
         assert (f"{count} {name}" in visit.picture()["readout"]) == (count > 0)
@@ -241,7 +240,7 @@ def test_the_pointer_on_the_strip_reads_out_the_frame_and_sends_no_picture(visit
         "_data" in received.message.get("updates", {}) for received in visit.client.drain()
     )
     visit.client.point("time", "leave", 0.0, 0.0)
-    visit.client.wait_until(lambda: visit.picture()["readout"] == "", ENOUGH_S)
+    visit.client.wait_until(lambda: visit.picture()["readout"] == "")
 
 
 def test_the_cursor_moves_without_a_new_picture(visit: Visit) -> None:
@@ -262,10 +261,10 @@ def test_the_cursor_moves_without_a_new_picture(visit: Visit) -> None:
 
 def test_play_says_pause_and_stops_again(visit: Visit) -> None:
     visit.client.press("timeline", "play")
-    visit.client.wait_until(lambda: "Pause" in visit.button("play"), ENOUGH_S)
-    visit.client.wait_until(lambda: visit.session.view.frame_index > 2, ENOUGH_S)
+    visit.client.wait_until(lambda: "Pause" in visit.button("play"))
+    visit.client.wait_until(lambda: visit.session.view.frame_index > 2)
     visit.client.trigger("Play or pause")
-    visit.client.wait_until(lambda: "Play" in visit.button("play"), ENOUGH_S)
+    visit.client.wait_until(lambda: "Play" in visit.button("play"))
     assert not visit.panel._playback.is_playing
 
 
@@ -273,15 +272,15 @@ def test_play_at_the_end_begins_at_the_first_frame(visit: Visit) -> None:
     visit.session.change(frame_index=29, loop_playback=False)
     assert visit.session.wait(ENOUGH_S)
     visit.client.press("timeline", "play")
-    visit.client.wait_until(lambda: 0 < visit.session.view.frame_index < 29, ENOUGH_S)
-    visit.client.wait_until(lambda: not visit.panel._playback.is_playing, ENOUGH_S)
+    visit.client.wait_until(lambda: 0 < visit.session.view.frame_index < 29)
+    visit.client.wait_until(lambda: not visit.panel._playback.is_playing)
     assert visit.session.view.frame_index == 29
 
 
 def test_the_speed_is_chosen_and_marked(visit: Visit) -> None:
     visit.client.press("timeline", "speed 4")
-    visit.client.wait_until(lambda: visit.session.view.playback_speed == 4.0, ENOUGH_S)
-    visit.client.wait_until(lambda: 'aria-pressed="true"' in visit.button("speed 4"), ENOUGH_S)
+    visit.client.wait_until(lambda: visit.session.view.playback_speed == 4.0)
+    visit.client.wait_until(lambda: 'aria-pressed="true"' in visit.button("speed 4"))
     assert 'aria-pressed="false"' in visit.button("speed 1")
 
 
@@ -293,14 +292,14 @@ def test_what_no_button_sends_is_ignored(visit: Visit) -> None:
 
 def test_the_strip_is_as_wide_as_its_panel(visit: Visit) -> None:
     visit.panel.set_width(500.0)
-    visit.client.wait_until(lambda: visit.picture()["width"] == "500", ENOUGH_S)
+    visit.client.wait_until(lambda: visit.picture()["width"] == "500")
     visit.panel.set_width(1.0)
-    visit.client.wait_until(lambda: visit.picture()["width"] == "240", ENOUGH_S)
+    visit.client.wait_until(lambda: visit.picture()["width"] == "240")
     visit.panel.set_width(736.0)
 
 
 def test_whoever_leaves_wants_no_survey(workbench: Workbench, resident: Visit) -> None:
     opened = resident.session.frame_view.open_recording  # type: ignore[union-attr]  # it is shown
     with connect(workbench.address, storage={}) as client:
-        client.wait_until(lambda: len(opened.surveys._wishes) == 2, ENOUGH_S)
-    resident.client.wait_until(lambda: len(opened.surveys._wishes) == 1, ENOUGH_S)
+        client.wait_until(lambda: len(opened.surveys._wishes) == 2)
+    resident.client.wait_until(lambda: len(opened.surveys._wishes) == 1)

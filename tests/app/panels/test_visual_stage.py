@@ -15,8 +15,8 @@ from scanloom.panels.visual_stage import VisualStage
 from scanloom.scene.level_of_detail import POINTS_MAX
 from scanloom.scene.visual_picture import VisualPicture
 from scanloom.scene.visual_shapes import Boxes
+from tests.patience import ENOUGH_S, comes_true
 
-LONG_S = 20.0
 ALL = frozenset({"cloud", "keyframes", "loops", "map"})
 
 
@@ -45,10 +45,7 @@ class Sent(list):
     """(points, of how many) that were sent."""
 
     def wait_for(self, count: int) -> None:
-        deadline_s = time.monotonic() + LONG_S
-        while len(self) < count:
-            assert time.monotonic() < deadline_s, "nothing was sent"
-            time.sleep(0.02)
+        assert comes_true(lambda: len(self) >= count)
 
 
 @pytest.fixture
@@ -113,17 +110,14 @@ def test_a_map_that_never_stops_growing_is_seen(
         shown.draw(picture(count), is_new=False)
         time.sleep(0.05)
     assert len(sent) >= 2
-    deadline_s = time.monotonic() + LONG_S
-    while sent[-1] != (count, count):
-        assert time.monotonic() < deadline_s, "the last one never came"
-        time.sleep(0.02)
+    assert comes_true(lambda: sent[-1] == (count, count))
 
 
 def test_what_is_hidden_is_not_sent(stage: tuple[VisualStage, Camera, Sent]) -> None:
     shown, _, sent = stage
     shown.show(ALL - {"cloud"}, is_dark=False, is_seen=True)
     shown.draw(picture(100), is_new=True)
-    assert shown._sending.wait(LONG_S)
+    assert shown._sending.wait(ENOUGH_S)
     assert not sent
     shown.show(ALL, is_dark=False, is_seen=True)
     sent.wait_for(1)
@@ -135,7 +129,7 @@ def test_what_is_hidden_is_not_sent(stage: tuple[VisualStage, Camera, Sent]) -> 
     shown.draw_boxes(boxes)
     assert not shown._nodes._cloud.visible
     shown.camera_moved()
-    assert shown._sending.wait(LONG_S)
+    assert shown._sending.wait(ENOUGH_S)
     assert len(sent) == 1
     shown.draw_boxes(None)
     sent.wait_for(2)

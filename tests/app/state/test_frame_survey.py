@@ -27,8 +27,7 @@ from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.survey_runner import SurveyRunner
 from scanloom.state.view import View
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S
 
 
 @pytest.fixture(scope="module")

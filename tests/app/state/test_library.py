@@ -21,8 +21,8 @@ from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 from tests.hostile.names import NO_UTF8, SHOWN
+from tests.patience import ENOUGH_S
 
-ENOUGH_S = 240.0
 UNSEEN = library_module._MAX_UNVIEWED
 LIDAR = "/scan"
 

@@ -11,8 +11,7 @@ import pytest
 from scanloom.jobs.activity import Activity
 from scanloom.state import recording_details
 from scanloom.state.recording_details import DetailsReader, read_details
-
-ENOUGH_S = 240.0
+from tests.patience import ENOUGH_S
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from scanloom.state.library import Library
 from scanloom.state.review_choices import ReviewChoices
 from scanloom.state.review_queue import ReviewQueue, RunTable
 from scanloom.state.view import View
+from tests.patience import ENOUGH_S
 
-ENOUGH_S = 240.0
 FRAMES = (0, 3, 7)
 
 
