@@ -369,5 +369,8 @@ def _leaf_covariance(
                 for across in (0, half):
                     stack[depth] = (level - 1, r + down, c + across)
                     depth += 1
-    first /= weight_sum
-    return second / weight_sum - np.outer(first, first)
+    for i in range(3):
+        for j in range(3):
+            mean = second[i, j] / weight_sum
+            second[i, j] = mean - (first[i] / weight_sum) * (first[j] / weight_sum)
+    return second
