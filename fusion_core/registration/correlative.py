@@ -9,6 +9,7 @@ maximum without scoring them all. The result equals that of an exhaustive search
     match.pose_map_points, match.score, match.covariance
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -291,7 +292,7 @@ def _branch_and_bound(
         t, row, column, bound = blocks[block]
         if bound <= best[3]:
             break
-        stack[0] = (top, row, column, bound)
+        _write_row(stack, 0, (top, row, column, bound))
         depth = 1
         while depth > 0:
             depth -= 1
@@ -314,13 +315,21 @@ def _branch_and_bound(
                     # Insertion in rising order: the last one is taken first.
                     place = added
                     while place > 0 and children[place - 1, 3] > score:
-                        children[place] = children[place - 1]
+                        _write_row(children, place, children[place - 1])
                         place -= 1
-                    children[place] = (level - 1, r + down, c + across, score)
+                    _write_row(children, place, (level - 1, r + down, c + across, score))
                     added += 1
-            stack[depth : depth + added] = children[:added]
-            depth += added
+            for child in range(added):
+                _write_row(stack, depth, children[child])
+                depth += 1
     return best[0], best[1], best[2], best[3], visited
+
+
+@compiled()
+def _write_row(rows: IntArray, place: int, values: Sequence[int] | IntArray) -> None:
+    """Numba compiles an assignment to a whole row for seconds: the text of its error message."""
+    for column in range(len(values)):
+        rows[place, column] = values[column]
 
 
 @compiled(error_model="numpy")
@@ -345,7 +354,7 @@ def _leaf_covariance(
         t, row, column, bound = blocks[block]
         if bound < least:
             break
-        stack[0] = (top, row, column)
+        _write_row(stack, 0, (top, row, column))
         depth = 1
         while depth > 0:
             depth -= 1
@@ -367,7 +376,7 @@ def _leaf_covariance(
             half = 1 << (level - 1)
             for down in (0, half):
                 for across in (0, half):
-                    stack[depth] = (level - 1, r + down, c + across)
+                    _write_row(stack, depth, (level - 1, r + down, c + across))
                     depth += 1
     for i in range(3):
         for j in range(3):
