@@ -127,21 +127,28 @@ def _solve_step(
     )
     if is_unobservable.any():
         # Half the derivative of the sum of squares at zero motion, u = (1, 0).
-        gradient = np.array(
-            [
-                m[0, 2] - right_side[0],
-                m[1, 2] - right_side[1],
-                (m[2, 3] - right_side[3]) / lever_m,
-            ]
+        gradient = (
+            m[0, 2] - right_side[0],
+            m[1, 2] - right_side[1],
+            (m[2, 3] - right_side[3]) / lever_m,
         )
         step: FloatArray = np.zeros(3)
         for k in range(3):
-            if not is_unobservable[k]:
-                step -= directions[:, k] * ((directions[:, k] * gradient).sum() / strength[k])
+            if is_unobservable[k]:
+                continue
+            along = 0.0
+            for a in range(3):
+                along += directions[a, k] * gradient[a]
+            for a in range(3):
+                step[a] -= directions[a, k] * along / strength[k]
         step[2] /= lever_m
     else:
         step = solve_point_to_line(normal_matrix, right_side)
-    return step, float(step @ (information @ step))
+    squared_length = 0.0
+    for a in range(3):
+        for b in range(3):
+            squared_length += step[a] * information[a, b] * step[b]
+    return step, squared_length
 
 
 @compiled()
