@@ -201,6 +201,7 @@ def _search(
     blocks: IntArray = _top_blocks(
         pyramid.levels, grid.cells, grid.offset_max_cells, floor - _COVARIANCE_SCORE_MARGIN
     )
+    blocks = blocks[np.argsort(-blocks[:, 3], kind="stable")]
     best: tuple[int, int, int, int, int] = _branch_and_bound(
         pyramid.levels, grid.cells, grid.offset_max_cells, blocks, floor
     )
@@ -256,7 +257,7 @@ def sum_scores(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
 
 @compiled()
 def _top_blocks(levels: ByteArray, cells: IntArray, offset_max: int, floor: int) -> IntArray:
-    """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``, best first."""
+    """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``."""
     top = levels.shape[0] - 1
     size = 1 << top
     along = (2 * offset_max + size) // size
@@ -270,7 +271,7 @@ def _top_blocks(levels: ByteArray, cells: IntArray, offset_max: int, floor: int)
                     blocks[count, 0], blocks[count, 1], blocks[count, 2] = t, r, c
                     blocks[count, 3] = bound
                     count += 1
-    return blocks[:count][np.argsort(-blocks[:count, 3], kind="mergesort")]
+    return blocks[:count]
 
 
 @compiled()
@@ -279,7 +280,8 @@ def _branch_and_bound(
 ) -> tuple[int, int, int, int, int]:
     """Turn, row, column and score of the best leaf above ``floor``, and the scores computed.
 
-    Hess et al. 2016, algorithm 3: depth first, the better child first.
+    Hess et al. 2016, algorithm 3: depth first, the better child first. ``blocks``: those of
+    ``_top_blocks``, best first.
     """
     best = (-1, 0, 0, floor)
     top = levels.shape[0] - 1
@@ -344,7 +346,7 @@ def _leaf_covariance(
 ) -> FloatArray:
     """(3, 3) covariance of (column, row, turn) over all leaves that score at least ``least``.
 
-    A leaf weighs exp(nats · (score - total)).
+    A leaf weighs exp(nats · (score - total)). ``blocks``: as in ``_branch_and_bound``.
     """
     top = levels.shape[0] - 1
     stack = np.empty((3 * top + 4, 3), dtype=np.int64)
