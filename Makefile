@@ -5,6 +5,9 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.ready
 READY_FOR_TESTS := $(VENV)/.ready-for-tests
 
+# Each of some hundred processes of the tests would compile the sources anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all lint types pytest clean
 
 demo: $(READY)

@@ -38,11 +38,7 @@ CLASSES = sorted(
     },
     key=lambda settings_class: (settings_class.__qualname__, settings_class.__module__),
 )
-FIELDS = [
-    pytest.param(field, id=f"{settings_class.__qualname__}.{name}")
-    for settings_class in CLASSES
-    for name, field in settings_class.model_fields.items()
-]
+of_each_class = pytest.mark.parametrize("settings_class", CLASSES, ids=lambda c: c.__qualname__)
 
 
 def parts_of(annotation: object) -> list[object]:
@@ -66,21 +62,22 @@ def test_there_are_settings() -> None:
     assert len(CLASSES) > 25
 
 
-@pytest.mark.parametrize("field", FIELDS)
-def test_a_number_has_two_finite_bounds(field: FieldInfo) -> None:
-    for part in parts_of(field.annotation):
-        if part in (int, float):
-            low, high = bounds_of(field)
-            assert len(low) == len(high) == 1
-            assert math.isfinite(low[0])
-            assert math.isfinite(high[0])
-            assert low[0] < high[0]
-        else:
-            # Neither text nor a collection without a limit to its length.
-            assert part is bool or issubclass(part, StageSettings)
+@of_each_class
+def test_a_number_has_two_finite_bounds(settings_class: type[StageSettings]) -> None:
+    for name, field in settings_class.model_fields.items():
+        for part in parts_of(field.annotation):
+            if part in (int, float):
+                low, high = bounds_of(field)
+                assert len(low) == len(high) == 1, name
+                assert math.isfinite(low[0]), name
+                assert math.isfinite(high[0]), name
+                assert low[0] < high[0], name
+            else:
+                # Neither text nor a collection without a limit to its length.
+                assert part is bool or issubclass(part, StageSettings), name
 
 
-@pytest.mark.parametrize("settings_class", CLASSES, ids=lambda c: c.__qualname__)
+@of_each_class
 def test_the_ends_of_a_range_are_in_order(settings_class: type[StageSettings]) -> None:
     for low, high in ends(settings_class):
         least, most = (bounds_of(settings_class.model_fields[name]) for name in (low, high))
@@ -138,21 +135,19 @@ def test_products_that_make_the_work_are_bounded(
 
 
 FORMER_NAMES = [
-    pytest.param(settings_class, name, extra["formerly"], id=f"{settings_class.__name__}.{name}")
+    (settings_class, name, extra["formerly"])
     for settings_class in CLASSES
     for name, field in settings_class.model_fields.items()
     if isinstance(extra := field.json_schema_extra, dict) and extra.get("formerly")
 ]
 
 
-@pytest.mark.parametrize(("settings_class", "name", "former"), FORMER_NAMES)
-def test_a_former_name_is_read_as_the_present_one(
-    settings_class: type[StageSettings], name: str, former: str
-) -> None:
-    assert former not in settings_class.model_fields
-    assert under_current_names(settings_class, {former: 1}) == ({name: 1}, {former: name})
+def test_a_former_name_is_read_as_the_present_one() -> None:
+    for settings_class, name, former in FORMER_NAMES:
+        assert former not in settings_class.model_fields
+        assert under_current_names(settings_class, {former: 1}) == ({name: 1}, {former: name})
 
 
 def test_no_former_name_stands_for_two_settings() -> None:
-    pairs = [(parameter.values[0], parameter.values[2]) for parameter in FORMER_NAMES]
+    pairs = [(settings_class, former) for settings_class, _, former in FORMER_NAMES]
     assert len(set(pairs)) == len(pairs) > 50

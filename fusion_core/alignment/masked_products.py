@@ -43,7 +43,8 @@ def scores_along_curve(
     np.cumsum([np.isfinite(curve), line, line**2], axis=1, out=cumulative[:, 1:])
     products = _products_along(line, rows.values)
     kinds = np.array(scores, dtype=np.int64)
-    field, overlap = _score_rows(along, cumulative, rows, products, kinds, min_samples)
+    margin = int(np.diff(along.runs).max(initial=0))
+    field, overlap = _score_rows(along, cumulative, rows, products, kinds, min_samples, margin)
     return field, overlap
 
 
@@ -139,11 +140,13 @@ def _score_rows(
     products: FloatArray,
     scores: IntArray,
     min_samples: int,
+    margin: int,
 ) -> tuple[FloatArray, FloatArray]:
     """The five sums of each row at every offset, and its scores from them.
 
     ``cumulative``: (3, Ψ + 1) sums of the curve's mask, values and squares. ``products``: (H, U)
-    ΣDL. The sums of one row are (U,) each and stay in the processor's cache.
+    ΣDL. ``margin``: of the curve's widest hole. The sums of one row are (U,) each and stay in the
+    processor's cache.
     """
     height, offsets = products.shape
     width = across.values.shape[1]
@@ -153,9 +156,6 @@ def _score_rows(
     moved = np.empty((3, offsets))
     field = np.empty((len(scores), height, offsets))
     overlap = np.empty((height, offsets))
-    margin = 0
-    for k in range(len(along.runs)):
-        margin = max(margin, along.runs[k, 1] - along.runs[k, 0])
     below = np.empty((2, width + 2 * margin + 1))
     for v in range(height):
         holes = across.runs[across.first_run[v] : across.first_run[v + 1]]
@@ -196,7 +196,8 @@ def _sum_curve(
     sum_ll: FloatArray,
 ) -> None:
     """n, ΣL, ΣL² at each offset: those of the whole window less those below the row's holes."""
-    n[:], sum_l[:], sum_ll[:] = windows[0], windows[1], windows[2]
+    for u in range(n.size):
+        n[u], sum_l[u], sum_ll[u] = windows[0, u], windows[1, u], windows[2, u]
     for k in range(len(holes)):
         _subtract_run(n, cumulative[0], holes[k, 0], holes[k, 1])
         _subtract_run(sum_l, cumulative[1], holes[k, 0], holes[k, 1])

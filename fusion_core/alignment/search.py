@@ -74,7 +74,7 @@ def find_peak(
     Raises AlignmentFailed where the field has no score there.
     """
     # Half a sample: with prior_samples = 0 the nearest whole offset is still allowed.
-    reach = np.inf if prior_u is None else max(settings.prior_samples, 0.5)
+    reach = np.inf if prior_u is None else max(float(settings.prior_samples), 0.5)
     row, column, other_row, other = _highest_cells(
         field.scores,
         0.0 if prior_u is None else prior_u - field.u_first,

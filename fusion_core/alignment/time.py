@@ -194,9 +194,12 @@ def _shift_costs(
     beams = first.size
     # Beam 0 of ``first`` at index ``reach``, so that every shift is a slice.
     padded = np.full(beams + 2 * reach, np.nan)
-    padded[reach : reach + beams] = first
-    if is_full_circle:
-        padded[:reach], padded[reach + beams :] = first[beams - reach :], first[:reach]
+    for place in range(padded.size):
+        beam = place - reach
+        if is_full_circle:
+            beam %= beams
+        if 0 <= beam < beams:
+            padded[place] = first[beam]
     totals, counts = np.zeros(2 * reach + 1), np.zeros(2 * reach + 1)
     for beam in range(beams):
         own, others = second[beam], padded[beam : beam + 2 * reach + 1]
@@ -205,4 +208,8 @@ def _shift_costs(
             is_known = difference == difference
             totals[column] += min(difference, _MAX_DIFFERENCE_M) if is_known else 0.0
             counts[column] += 1.0 if is_known else 0.0
-    return np.where(counts * 4.0 >= beams, totals / np.maximum(counts, 1.0), np.nan)
+    costs = np.full(2 * reach + 1, np.nan)
+    for column in range(2 * reach + 1):
+        if counts[column] * 4.0 >= beams:
+            costs[column] = totals[column] / max(counts[column], 1.0)
+    return costs

@@ -103,36 +103,34 @@ def returns_in_openings(
     ``across_m``, ``tolerance_m``: (N,), as in Openings.
     """
     ranges_m, exists = scans_about(window)
+    shifts = np.array([window.shift_before, 0, window.shift_after])
+    of_beam = _returns_of_beams(ranges_m, exists, shifts, across_m, tolerance_m)
+    # One more beam at the front, so that a difference of two sums is the number between them.
+    upto = np.zeros((3, across_m.size + 1, 3), dtype=np.int64)
+    np.cumsum(of_beam, axis=1, out=upto[:, 1:])
     reach = int(reach_rad / abs(window.scan.angle_increment_rad))
-    looked, returned, on_line = _count_in_openings(
-        ranges_m,
-        exists,
-        np.array([window.shift_before, 0, window.shift_after]),
-        across_m,
-        tolerance_m,
-        reach,
-    )
+    beam = np.arange(across_m.size)
+    first, last = np.maximum(beam - reach, 0), np.minimum(beam + reach + 1, beam.size)
+    looked, returned, on_line = upto[:, last] - upto[:, first]
     return ReturnsInOpening(looked=looked, returned=returned, on_line=on_line)
 
 
 @compiled()
-def _count_in_openings(
+def _returns_of_beams(
     ranges_m: FloatArray,
     exists: BoolArray,
     shifts: IntArray,
     across_m: FloatArray,
     tolerance_m: FloatArray,
-    reach: int,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """The counts of ReturnsInOpening. ``ranges_m``: (3, N), of the scans that there are."""
+) -> IntArray:
+    """(3, N, 3) what each beam adds to the counts of ReturnsInOpening, 0 or 1: whether it looked,
+    returned and did so from the line. ``ranges_m``: (3, N), of the scans that there are."""
     count = across_m.size
-    # One more beam at the front, so that a difference of two sums is the number between them.
-    upto = np.zeros((count + 1, 3, 3), dtype=np.int64)
+    of_beam = np.zeros((3, count, 3), dtype=np.int64)
     for beam in range(count):
         within = _BEAMS_OF_SIDE <= beam < count - _BEAMS_OF_SIDE
         for other in range(beam - _BEAMS_OF_SIDE, beam + _BEAMS_OF_SIDE + 1):
             within = within and np.isfinite(across_m[other])
-        upto[beam + 1] = upto[beam]
         if not within:
             continue
         for place in range(3):
@@ -140,14 +138,10 @@ def _count_in_openings(
             if not exists[place] or not 0 <= other < count:
                 continue
             range_m = ranges_m[place, other]
-            upto[beam + 1, 0, place] += 1
-            upto[beam + 1, 1, place] += np.isfinite(range_m)
-            upto[beam + 1, 2, place] += abs(range_m - across_m[beam]) <= tolerance_m[beam]
-    about = np.empty((3, count, 3), dtype=np.int64)
-    for beam in range(count):
-        first, last = max(0, beam - reach), min(count, beam + reach + 1)
-        about[:, beam] = upto[last] - upto[first]
-    return about[0], about[1], about[2]
+            of_beam[0, beam, place] = 1
+            of_beam[1, beam, place] = np.isfinite(range_m)
+            of_beam[2, beam, place] = abs(range_m - across_m[beam]) <= tolerance_m[beam]
+    return of_beam
 
 
 def _farther_side_m(range_m: FloatArray) -> FloatArray:

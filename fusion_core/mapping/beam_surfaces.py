@@ -33,7 +33,7 @@ def nearest_surfaces(
     """
     ranges_m = np.hypot(points_m[:, 0], points_m[:, 1])
     after_first_rad = _angles_after_first(points_m, angle_min_rad, angle_increment_rad)
-    nearest_m, lowest_m, highest_m = _nearest_per_angle(
+    sums_m, counts, lowest_m, highest_m = _nearest_per_angle(
         ranges_m,
         np.ascontiguousarray(points_m[:, 2]),
         after_first_rad,
@@ -42,7 +42,7 @@ def nearest_surfaces(
         half_width_m,
         np.zeros(ranges_m.size) if thickness_m is None else thickness_m,
     )
-    return nearest_m, np.stack([lowest_m, highest_m], axis=1)
+    return _means_m(sums_m, counts), np.stack([lowest_m, highest_m], axis=1)
 
 
 @compiled(error_model="numpy")
@@ -54,7 +54,8 @@ def _nearest_per_angle(
     beams: int,
     half_width_m: float,
     thickness_m: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Sum and number of the ranges of each beam's surface, and its lowest and highest point."""
     nearest_m = np.full(beams, np.inf)
     lowest_m = np.full(beams, np.nan)
     highest_m = np.full(beams, np.nan)
@@ -84,7 +85,7 @@ def _nearest_per_angle(
                             lowest_m[beam] = heights_m[i]
                         if not highest_m[beam] >= heights_m[i]:
                             highest_m[beam] = heights_m[i]
-    return np.where(counts > 0.0, sums_m / counts, np.nan), lowest_m, highest_m
+    return sums_m, counts, lowest_m, highest_m
 
 
 def surfaces_behind(
@@ -99,7 +100,7 @@ def surfaces_behind(
     reached_m = np.hypot(cloud_m[:, 0], cloud_m[:, 1])
     after_first_rad = _angles_after_first(cloud_m, scan.angle_min_rad, scan.angle_increment_rad)
     order = np.argsort(reached_m, kind="stable")
-    ranges_m, lowest_m, highest_m = _find_behind(
+    sums_m, counts, lowest_m, highest_m = _find_behind(
         reached_m[order],
         np.ascontiguousarray(cloud_m[order, 2]),
         after_first_rad[order],
@@ -108,7 +109,12 @@ def surfaces_behind(
         thickness_m[order],
         scan.range_max_m,
     )
-    return ranges_m, np.stack([lowest_m, highest_m], axis=2)
+    return _means_m(sums_m, counts), np.stack([lowest_m, highest_m], axis=2)
+
+
+def _means_m(sums_m: FloatArray, counts: FloatArray) -> FloatArray:
+    """NaN where nothing was counted."""
+    return np.divide(sums_m, counts, out=np.full_like(sums_m, np.nan), where=counts > 0.0)
 
 
 def _angles_after_first(
@@ -130,8 +136,9 @@ def _find_behind(
     ends_m: FloatArray,
     thickness_m: FloatArray,
     range_max_m: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """``surfaces_behind`` of points in the order of their ranges, each of the nearest beam."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """``surfaces_behind`` of points in the order of their ranges, each of the nearest beam: sums
+    and numbers of the ranges, lowest and highest points."""
     beams = ends_m.size
     shape = (_SURFACES_BEHIND, beams)
     nearest_m = np.full(shape, np.nan)
@@ -165,4 +172,4 @@ def _find_behind(
                 lowest_m[own, beam] = heights_m[i]
             if not highest_m[own, beam] >= heights_m[i]:
                 highest_m[own, beam] = heights_m[i]
-    return np.where(counts > 0.0, sums_m / counts, np.nan), lowest_m, highest_m
+    return sums_m, counts, lowest_m, highest_m

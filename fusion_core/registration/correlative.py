@@ -9,6 +9,7 @@ maximum without scoring them all. The result equals that of an exhaustive search
     match.pose_map_points, match.score, match.covariance
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,6 +201,7 @@ def _search(
     blocks: IntArray = _top_blocks(
         pyramid.levels, grid.cells, grid.offset_max_cells, floor - _COVARIANCE_SCORE_MARGIN
     )
+    blocks = blocks[np.argsort(-blocks[:, 3], kind="stable")]
     best: tuple[int, int, int, int, int] = _branch_and_bound(
         pyramid.levels, grid.cells, grid.offset_max_cells, blocks, floor
     )
@@ -255,7 +257,7 @@ def sum_scores(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
 
 @compiled()
 def _top_blocks(levels: ByteArray, cells: IntArray, offset_max: int, floor: int) -> IntArray:
-    """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``, best first."""
+    """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``."""
     top = levels.shape[0] - 1
     size = 1 << top
     along = (2 * offset_max + size) // size
@@ -269,7 +271,7 @@ def _top_blocks(levels: ByteArray, cells: IntArray, offset_max: int, floor: int)
                     blocks[count, 0], blocks[count, 1], blocks[count, 2] = t, r, c
                     blocks[count, 3] = bound
                     count += 1
-    return blocks[:count][np.argsort(-blocks[:count, 3], kind="mergesort")]
+    return blocks[:count]
 
 
 @compiled()
@@ -278,7 +280,8 @@ def _branch_and_bound(
 ) -> tuple[int, int, int, int, int]:
     """Turn, row, column and score of the best leaf above ``floor``, and the scores computed.
 
-    Hess et al. 2016, algorithm 3: depth first, the better child first.
+    Hess et al. 2016, algorithm 3: depth first, the better child first. ``blocks``: those of
+    ``_top_blocks``, best first.
     """
     best = (-1, 0, 0, floor)
     top = levels.shape[0] - 1
@@ -291,7 +294,7 @@ def _branch_and_bound(
         t, row, column, bound = blocks[block]
         if bound <= best[3]:
             break
-        stack[0] = (top, row, column, bound)
+        _write_row(stack, 0, (top, row, column, bound))
         depth = 1
         while depth > 0:
             depth -= 1
@@ -314,13 +317,21 @@ def _branch_and_bound(
                     # Insertion in rising order: the last one is taken first.
                     place = added
                     while place > 0 and children[place - 1, 3] > score:
-                        children[place] = children[place - 1]
+                        _write_row(children, place, children[place - 1])
                         place -= 1
-                    children[place] = (level - 1, r + down, c + across, score)
+                    _write_row(children, place, (level - 1, r + down, c + across, score))
                     added += 1
-            stack[depth : depth + added] = children[:added]
-            depth += added
+            for child in range(added):
+                _write_row(stack, depth, children[child])
+                depth += 1
     return best[0], best[1], best[2], best[3], visited
+
+
+@compiled()
+def _write_row(rows: IntArray, place: int, values: Sequence[int] | IntArray) -> None:
+    """Numba compiles an assignment to a whole row for seconds: the text of its error message."""
+    for column in range(len(values)):
+        rows[place, column] = values[column]
 
 
 @compiled(error_model="numpy")
@@ -335,7 +346,7 @@ def _leaf_covariance(
 ) -> FloatArray:
     """(3, 3) covariance of (column, row, turn) over all leaves that score at least ``least``.
 
-    A leaf weighs exp(nats · (score - total)).
+    A leaf weighs exp(nats · (score - total)). ``blocks``: as in ``_branch_and_bound``.
     """
     top = levels.shape[0] - 1
     stack = np.empty((3 * top + 4, 3), dtype=np.int64)
@@ -345,7 +356,7 @@ def _leaf_covariance(
         t, row, column, bound = blocks[block]
         if bound < least:
             break
-        stack[0] = (top, row, column)
+        _write_row(stack, 0, (top, row, column))
         depth = 1
         while depth > 0:
             depth -= 1
@@ -367,7 +378,10 @@ def _leaf_covariance(
             half = 1 << (level - 1)
             for down in (0, half):
                 for across in (0, half):
-                    stack[depth] = (level - 1, r + down, c + across)
+                    _write_row(stack, depth, (level - 1, r + down, c + across))
                     depth += 1
-    first /= weight_sum
-    return second / weight_sum - np.outer(first, first)
+    for i in range(3):
+        for j in range(3):
+            mean = second[i, j] / weight_sum
+            second[i, j] = mean - (first[i] / weight_sum) * (first[j] / weight_sum)
+    return second

@@ -63,7 +63,8 @@ def iterate_pl_icp(
     """
     pose = start.copy()
     pairs = make_empty_pairs(moving.range_m.size)
-    stride = _COARSE_STRIDE
+    # Not the constant itself: what is called with it would be compiled for its value too.
+    stride = int(_COARSE_STRIDE)
     limit, scale = np.inf, np.inf
     for iteration in range(1, iterations_max + 1):
         find_pairs(pairs, reference, lines, moving, pose, sigmas_m, distance_max_m, stride)
@@ -126,21 +127,28 @@ def _solve_step(
     )
     if is_unobservable.any():
         # Half the derivative of the sum of squares at zero motion, u = (1, 0).
-        gradient = np.array(
-            [
-                m[0, 2] - right_side[0],
-                m[1, 2] - right_side[1],
-                (m[2, 3] - right_side[3]) / lever_m,
-            ]
+        gradient = (
+            m[0, 2] - right_side[0],
+            m[1, 2] - right_side[1],
+            (m[2, 3] - right_side[3]) / lever_m,
         )
         step: FloatArray = np.zeros(3)
         for k in range(3):
-            if not is_unobservable[k]:
-                step -= directions[:, k] * ((directions[:, k] * gradient).sum() / strength[k])
+            if is_unobservable[k]:
+                continue
+            along = 0.0
+            for a in range(3):
+                along += directions[a, k] * gradient[a]
+            for a in range(3):
+                step[a] -= directions[a, k] * along / strength[k]
         step[2] /= lever_m
     else:
         step = solve_point_to_line(normal_matrix, right_side)
-    return step, float(step @ (information @ step))
+    squared_length = 0.0
+    for a in range(3):
+        for b in range(3):
+            squared_length += step[a] * information[a, b] * step[b]
+    return step, squared_length
 
 
 @compiled()
@@ -165,14 +173,19 @@ def find_unobservable_directions(
     eigenvectors (3, 3; columns) of the information with the yaw in units of 1 / lever, and (3,)
     which of them are unobservable.
     """
-    scale = np.array([1.0, 1.0, 1.0 / lever_m])
-    strength, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    noise = spurious * np.outer(scale, scale)
+    scale = (1.0, 1.0, 1.0 / lever_m)
+    scaled, noise = np.empty((3, 3)), np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            scaled[a, b] = information[a, b] * scale[a] * scale[b]
+            noise[a, b] = spurious[a, b] * scale[a] * scale[b]
+    strength, directions = np.linalg.eigh(scaled)
     is_unobservable = np.zeros(3, dtype=np.bool_)
     for k in range(3):
-        direction = np.ascontiguousarray(directions[:, k])
-        limit = (
-            _SPURIOUS_FACTOR * (direction @ (noise @ direction)) + _ROUNDING_FRACTION * strength[2]
-        )
+        noise_along = 0.0
+        for a in range(3):
+            for b in range(3):
+                noise_along += directions[a, k] * noise[a, b] * directions[b, k]
+        limit = _SPURIOUS_FACTOR * noise_along + _ROUNDING_FRACTION * strength[2]
         is_unobservable[k] = strength[k] <= limit
     return strength, directions, is_unobservable

@@ -35,7 +35,6 @@ def trimmed_gaussian_variance(sigmas: float) -> float:
     return 1.0 - 2.0 * sigmas * density / erf(sigmas / sqrt(2.0))
 
 
-@compiled(error_model="numpy")
 def match_covariance(
     pairs: LinePairs,
     reference: PolarScan,
@@ -53,6 +52,38 @@ def match_covariance(
     that trimming leaves. The unobservable directions are (k, 3) in (x, y, yaw); with the yaw
     multiplied by the lever, in metres, they are orthonormal.
     """
+    information, spurious, gradient_covariance, lever_m, misfit = _sum_over_pairs(
+        pairs, reference, lines, moving, pose, sigmas_m
+    )
+    _, directions, is_unobservable = find_unobservable_directions(information, spurious, lever_m)
+    observable, unobservable = directions[:, ~is_unobservable], directions[:, is_unobservable]
+    # (x, y, yaw · lever): all in metres.
+    scale = np.array([1.0, 1.0, 1.0 / lever_m])
+    to_metres = np.outer(scale, scale)
+    # Noise of the normals adds spurious information, and noise to the gradient: w var(e) = 1.
+    true_information = (information - spurious) * to_metres
+    noise = (gradient_covariance + spurious) * to_metres
+    covariance = unobservable @ unobservable.T * UNOBSERVABLE_SIGMA_M**2
+    if observable.shape[1] > 0:
+        inverse = (
+            observable @ np.linalg.inv(observable.T @ true_information @ observable) @ observable.T
+        )
+        factor = misfit / kept_variance
+        covariance += inverse @ noise @ inverse * max(factor, _NOISE_FACTOR_MIN)
+    return covariance * to_metres, unobservable.T * scale, lever_m
+
+
+@compiled(error_model="numpy")
+def _sum_over_pairs(
+    pairs: LinePairs,
+    reference: PolarScan,
+    lines: LocalLines,
+    moving: PolarScan,
+    pose: FloatArray,
+    sigmas_m: tuple[float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
+    """dg/dx, the spurious part of it, and (dg/dz) cov(z) (dg/dz)ᵀ, all (3, 3); the root mean square
+    distance of the points; and the squares of the residuals, over what they are expected to be."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     count = reference.range_m.size
     information, spurious, gradient_covariance = (
@@ -104,21 +135,7 @@ def match_covariance(
         _add_square(gradient_covariance, by_reference_range[beam], 1.0)
 
     lever_m = max(np.sqrt(levers / weights), 1e-6)
-    scale = np.array([1.0, 1.0, 1.0 / lever_m])
-    _, directions, is_unobservable = find_unobservable_directions(information, spurious, lever_m)
-    observable, unobservable = directions[:, ~is_unobservable], directions[:, is_unobservable]
-    # Noise of the normals adds spurious information, and noise to the gradient: w var(e) = 1.
-    true_information = (information - spurious) * np.outer(scale, scale)
-    noise = (gradient_covariance + spurious) * np.outer(scale, scale)
-    covariance = unobservable @ unobservable.T * UNOBSERVABLE_SIGMA_M**2
-    if observable.shape[1] > 0:
-        inverse = (
-            observable @ np.linalg.inv(observable.T @ true_information @ observable) @ observable.T
-        )
-        factor = squares / max(used - 3, 1) / kept_variance
-        covariance += inverse @ noise @ inverse * max(factor, _NOISE_FACTOR_MIN)
-    covariance *= np.outer(scale, scale)
-    return covariance, unobservable.T * scale, lever_m
+    return information, spurious, gradient_covariance, lever_m, squares / max(used - 3, 1)
 
 
 @compiled()

@@ -63,7 +63,10 @@ def make_polar_scan(
     ranges_m = ranges_m[: int((2.0 * np.pi) / step_rad + 0.5) + 1]
     clockwise = angle_increment_rad < 0.0
     start_rad = angle_min_rad + angle_increment_rad * (ranges_m.size - 1) * clockwise
-    prepared: PolarScan = _prepare(ranges_m, clockwise, float(start_rad), float(step_rad))
+    # Copied: for arrays that are read-only or strided it would be compiled once more.
+    prepared: PolarScan = _prepare(
+        np.array(ranges_m, np.float64), clockwise, float(start_rad), float(step_rad)
+    )
     return prepared
 
 

@@ -280,7 +280,7 @@ def _gauss_newton(
         if cost < best_cost:
             gain = best_cost - cost
             best_cost, best_occupancy = cost, occupancy / count
-            best[:], best_normal[:], best_slope[:] = pose, normal, slope
+            best, best_normal, best_slope = pose, normal, slope
             damping = max(0.3 * damping, 1e-7)
             if gain < 1e-7 * cost:
                 break
@@ -292,7 +292,7 @@ def _gauss_newton(
         for a in range(3):
             damped[a, a] = (damped[a, a] + prior[a]) * (1.0 + damping) + 1e-6
         step = np.linalg.solve(damped, best_slope)
-        if np.abs(step).max() < _STEP_MIN:
+        if max(abs(step[0]), abs(step[1]), abs(step[2])) < _STEP_MIN:
             break
         pose = best - step
     return best, best_occupancy, best_normal

@@ -50,8 +50,9 @@ def optimise_pose(
     start as it is.
     """
     T, inliers, information = _optimise(
-        np.ascontiguousarray(T_camera_map, np.float64),
-        np.ascontiguousarray(points_in_map_m, np.float64),
+        # Copied: for arrays that are read-only it would be compiled once more.
+        np.array(T_camera_map, np.float64, order="C"),
+        np.array(points_in_map_m, np.float64, order="C"),
         np.ascontiguousarray(pixels, np.float64),
         np.ascontiguousarray(depths_m, np.float64),
         np.ascontiguousarray(pixel_sigmas, np.float64),
