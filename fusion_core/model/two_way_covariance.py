@@ -5,6 +5,12 @@ frames see alike. So points are not counted one by one, but in blocks of frames 
 the curve, and the two variances are joined as Cameron, Gelbach and Miller (2011) join those of two
 groupings: of the one plus of the other, minus what both count. Each is a jackknife, which knows
 that a block may hold most of the evidence.
+
+With few blocks this errs on the safe side where points share nothing. On the mounts of a dozen
+frames and places, five parameters, with the points' signs flipped at random, it states 2.6 times
+the variance: the jackknives' leverage makes 1.5 of it, the floor in each direction 1.3, Student's
+factor 1.3. What is unbiased there (Bell and McCaffrey 2002) is too bold where errors are shared,
+and so few blocks do not tell which of the two they are.
 """
 
 import numpy as np

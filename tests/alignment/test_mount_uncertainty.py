@@ -46,6 +46,26 @@ def test_a_deviation_counts_errors_that_frames_and_places_share() -> None:
     assert (np.mean(naive, axis=0) > 4.0).all()
 
 
+def test_few_blocks_are_never_too_bold_where_points_share_nothing() -> None:
+    """As above with independent errors, on a dozen frames and nine places of unequal weight."""
+    rng = np.random.default_rng(2)
+    frame, place = (grid.ravel() for grid in np.mgrid[0:12, 0:9])
+    normalised = []
+    for _ in range(100):
+        design = rng.normal(size=(9, 4))[place] * rng.uniform(0.5, 1.5, size=(9, 1))[place]
+        design += 0.5 * rng.normal(size=(12, 4))[frame]
+        information = design[:, :, None] * design[:, None, :]
+        noise = rng.normal(size=frame.size)
+        fit = np.linalg.solve(information.sum(axis=0), design.T @ noise)
+        scores = (noise - design @ fit)[:, None] * design
+        covariance = two_way_covariance(scores, information, np.zeros((4, 4)), frame, place)
+        if covariance is not None:
+            normalised.append(fit**2 / np.diag(covariance))
+    assert len(normalised) > 60
+    mean = np.mean(normalised, axis=0)
+    assert ((mean > 0.1) & (mean < 1.0)).all(), mean
+
+
 def test_too_few_groups_state_nothing() -> None:
     scores, information = np.ones((6, 1)), np.ones((6, 1, 1))
     label = np.array([0, 0, 1, 1, 2, 2])

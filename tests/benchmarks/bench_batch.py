@@ -8,9 +8,9 @@ that returns their size; the outcome of each is a file, flushed to disk. Prints 
 time is that of the same batch called again, when all is done.
 """
 
+import argparse
 import math
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -82,7 +82,11 @@ def measure(count: int, folder: Path) -> float:
 
 
 def main() -> None:
-    counts = [int(text) for text in sys.argv[1:]] or list(COUNTS)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("recordings", nargs="*", type=int, default=COUNTS)
+    counts: list[int] = list(parser.parse_args().recordings)
     print("recordings  found s  batch s  ms each  again s  scheduler MiB    client MiB")
     times = []
     for count in counts:

@@ -8,6 +8,7 @@ that the process ever held. For workers they are those of the clock, over a batc
 recordings. A run before these compiles.
 """
 
+import argparse
 import os
 import subprocess
 import sys
@@ -101,10 +102,15 @@ def workers(folder: Path) -> None:
 
 def main() -> None:
     measures = {"frames": frames, "pixels": pixels, "workers": workers}
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("measure", choices=measures)
+    asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fuse(write(folder, "first", 1.0, 0.25), folder / "first")
-        measures[sys.argv[1]](folder)
+        measures[asked.measure](folder)
 
 
 if __name__ == "__main__":

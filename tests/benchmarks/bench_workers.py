@@ -7,6 +7,9 @@ process of its own, after one that is not counted. "rest" is all but the alignme
 process does. Memory is the most that all processes held together, with the pages that they share
 counted in each. Single runs side by side share nothing: their throughput, as a multiple of one
 run's, is what the machine gives at most.
+
+A process that is spawned imports the main module of its parent: the library is imported where it is
+used, so that a worker holds what one of ``scanloom fuse`` does.
 """
 
 import argparse
@@ -22,10 +25,6 @@ import time
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
-
-from fusion_core.simulation.scenes import SceneSettings, write_scene
-from fusion_core.workflows.fuse import fuse as module
-from fusion_core.workflows.fuse.session import FuseOptions
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 BAR_SPEED_UP, BAR_MIB_A_WORKER = 1.7, 250.0
@@ -44,6 +43,9 @@ def resident_mib(pid: int) -> float:
 
 def run_once(recording: Path, workers: int, *, figures: bool) -> None:
     """Fuse, and print what it took as JSON."""
+    from fusion_core.workflows.fuse import fuse as module
+    from fusion_core.workflows.fuse.session import FuseOptions
+
     own_pid = os.getpid()
     most_mib = 0.0
     aligned_s = 0.0
@@ -146,6 +148,10 @@ def main() -> None:
     for recording in given.recordings or ([] if given.minutes else [SAMPLE]):
         for figures in kinds:
             compare(recording, given.workers, given.rounds, figures=figures)
+    if not given.minutes:
+        return
+    from fusion_core.simulation.scenes import SceneSettings, write_scene
+
     with tempfile.TemporaryDirectory() as folder:
         for minutes in given.minutes:
             recording = Path(folder) / f"{minutes:g}_minutes.mcap"
