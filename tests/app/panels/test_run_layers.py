@@ -250,7 +250,7 @@ def test_earlier_results_are_listed_and_opened(tmp_path: Path) -> None:
     assert set(found) == {saved, root / "a_room.mcap"}
     view = View(recording=recording.name)
     run = reopen(saved, into, 7, view)
-    assert run.name == "7: lidar, recorded, pose-graph, from a_room.mcap-2"
+    assert run.name == "7: from a_room.mcap-2, lidar, recorded, pose-graph"
     assert set(run.grids) == {"lidar"}
     assert run.folder == into / "run-7"
     assert run.files.report == read_results(saved / "results")[0].report
