@@ -251,10 +251,10 @@
     }
   }
 
-  function shapes({ kind, x_px, y_px }) {
+  function shapes({ kind, x_px, y_px, reach_px }) {
     const paths = {
       cross: `M${x_px - 9} ${y_px}h6m6 0h6M${x_px} ${y_px - 9}v6m0 6v6`,
-      column: `M${x_px} -10000v20000`,
+      column: `M${x_px} ${y_px - reach_px}v${2 * reach_px}`,
       row: `M-10000 ${y_px}h20000`,
     };
     return ["dark", "light"].map((shade) => {

@@ -54,6 +54,18 @@ def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) 
         assert desk_of(workbench).view == kept
 
 
+def test_the_scene_waits_for_no_surroundings_and_casts_no_shadows(workbench: Workbench) -> None:
+    with connect(workbench.address) as client:
+        # viser's page hides the scene until it has decoded a photograph, unless it is told of none.
+        around = client.wait_for(
+            lambda received: received.type == "EnvironmentMapMessage", ENOUGH_S
+        )
+        assert around.message["hdri_data"] is None
+        lights = client.wait_for(lambda received: received.type == "EnableLightsMessage", ENOUGH_S)
+        assert lights.message["enabled"]
+        assert not lights.message["cast_shadow"]
+
+
 def test_a_link_goes_before_what_was_kept_and_is_followed_once(
     workbench: Workbench, view: View
 ) -> None:

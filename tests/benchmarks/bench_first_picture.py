@@ -64,6 +64,8 @@ function look(canvas) {
     const now = performance.now();
     const [width, height] = [canvas.width >> 2, canvas.height >> 2];
     if (!width || !canvas.matches('canvas[data-engine]')) return;
+    // A page may hide the canvas while it loads.
+    if (Number(getComputedStyle(canvas).opacity) < 0.9) return;
     const copy = new OffscreenCanvas(width, height);
     const context = copy.getContext('2d', {willReadFrequently: true});
     context.imageSmoothingEnabled = false;

@@ -26,6 +26,7 @@ from typing import Any, Self
 import numpy as np
 
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.resources import sample_path
 from tests.app.viser_client import Received, ViserClient, connect
 from tests.benchmarks.page_agreement import PageContent
@@ -183,6 +184,10 @@ def searching(browser: Browser, where: str, aim_ms: float) -> Iterator[Figure]:
         times_ms = browser.answers_ms(label, values, CHANGES)
         yield latency(f"{where}: {label.lower()} to heatmap", times_ms, aim_ms)
     browser.answer_ms("Sampling step (°)", 1.0)
+    browser.settle()
+    # As at first: where much overlap is asked for, many frames of a panorama have no score, and a
+    # heatmap that stays the same is not sent again.
+    browser.client.set_value("Minimum overlap", PRESETS["default"].search.min_overlap)
     browser.settle()
 
 

@@ -70,8 +70,8 @@ class SlamRun:
     def name(self) -> str:
         """The run's label in lists."""
         preset = "" if self.options.preset == "default" else f", {self.options.preset}"
-        saved = f", from {self.saved_as}" if self.saved_as else ""
-        return f"{self.number}: {self.choices.label}{preset}{saved}"
+        saved = f"from {self.saved_as}, " if self.saved_as else ""
+        return f"{self.number}: {saved}{self.choices.label}{preset}"
 
 
 def settings_of(view: View) -> MapSettings:

@@ -25,11 +25,13 @@ MarkKind = Literal["cross", "row", "column"]
 
 @dataclass(frozen=True, slots=True)
 class PictureMark:
-    """A mark at a place in a picture's pixels, or through it."""
+    """A mark at a place in a picture's pixels, or through it. ``reach_px``: how far a column goes
+    up and down."""
 
     kind: MarkKind
     x_px: float
     y_px: float
+    reach_px: float = 10_000.0
 
 
 class LivePicture:

@@ -7,11 +7,24 @@ from collections.abc import Mapping, Sequence
 from fusion_core.model.grid_fusion import CellEvidence, CellState
 from fusion_core.model.grids import OccupancyGrid
 from scanloom.page.markup import paragraph
+from scanloom.panels.swatches import css_color
+from scanloom.scene.map_nodes import DIFFERING_COLOR
 
 # Of the states; "free" is the word of the page for what Fu 2024 calls empty.
 _WORDS = {CellState.UNKNOWN: "unknown", CellState.EMPTY: "free", CellState.OCCUPIED: "occupied"}
 _CELL = "padding:0.15em 0.9em 0.15em 0;text-align:left;font-weight:inherit"
 CLICK = "Click the map for what is known of a cell."
+
+
+def differing_html(cells: int) -> str:
+    """How many cells the two rules of fusion decide differently, and how the map marks them."""
+    color = css_color(DIFFERING_COLOR)
+    many = "1 cell is" if cells == 1 else f"{cells} cells are"
+    return (
+        '<div style="padding:0.2em 0.5em;font-size:0.85em">'
+        f"{many} another by Table 3 than by Bayes' rule (10): "
+        f'<b style="color:{color}">outlined</b> on the map.</div>'
+    )
 
 
 def evidence_html(evidence: CellEvidence) -> str:

@@ -4,11 +4,13 @@ in its other mode, motion and SLAM."""
 import html
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import viser
 
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.grids import OccupancyGrid
@@ -41,9 +43,16 @@ from scanloom.state.view import MAP_MODES, MapMode, View
 
 
 class MapCallback(Protocol):
-    """Receives the map for the scene's floor; ``poses``: the LiDAR's, None: the recorded ones."""
+    """Receives the map for the scene's floor; ``poses``: the LiDAR's, None: the recorded ones;
+    ``differing_m``: (N, 2) places of cells of which two rules of fusion make different things."""
 
-    def __call__(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None, /) -> None: ...
+    def __call__(
+        self,
+        grid: OccupancyGrid | None,
+        poses: PoseLookup | None = None,
+        differing_m: FloatArray | None = None,
+        /,
+    ) -> None: ...
 
 
 class MapPanel(Panel):
@@ -51,7 +60,8 @@ class MapPanel(Panel):
 
     ``output_root``: results go into new folders below it. ``on_map`` gets the map of the recording
     that is shown, None where there is none, in the thread that shows views: the fused one, or that
-    of a run of SLAM with its poses. ``stage`` draws the maps of visual SLAM, which are in space.
+    of a run of SLAM with its poses. ``on_cell`` gets the place of a cell that is chosen here.
+    ``stage`` draws the maps of visual SLAM, which are in space.
     """
 
     def __init__(
@@ -60,6 +70,7 @@ class MapPanel(Panel):
         session: ClientSession,
         output_root: Path,
         on_map: MapCallback,
+        on_cell: Callable[[FloatArray], None],
         stage: VisualStage,
     ) -> None:
         self._session = session
@@ -92,7 +103,7 @@ class MapPanel(Panel):
             "Motion and SLAM", visible=session.view.map_mode == "SLAM"
         )
         with self._slam_folder:
-            self._slam = SlamPanel(gui, session, self._root, stage)
+            self._slam = SlamPanel(gui, session, self._root, stage, on_cell)
 
         self._build_button.on_click(lambda _: self._begin_build())
         self._export_button.on_click(lambda _: self._begin_export())
@@ -170,21 +181,20 @@ class MapPanel(Panel):
         """Pass the map of the mode to the scene, if it has changed."""
         run = self._slam.chosen(view.recording) if mode == "SLAM" else None
         poses: PoseLookup | None = None
+        differing_m: FloatArray | None = None
         if run is not None and run.visual is not None:
             # It has a stage of its own.
             grid = None
         elif run is not None:
             grid = self._slam.grid_of(run)
             poses = TrajectoryPoses(run.name, run.files.trajectory)
+            differing_m = self._slam.differing_m(run)
         else:
             grid = None if built is None else built.summary.grids.get("fused")
         if grid is self._floor_grid:
             return
         self._floor_grid = grid
-        if grid is None or poses is None:
-            self._on_map(grid)
-        else:
-            self._on_map(grid, poses)
+        self._on_map(grid, None if grid is None else poses, differing_m)
 
     def _begin_build(self) -> None:
         view, figures, given = self._session.view, bool(self._figures.value), self._given

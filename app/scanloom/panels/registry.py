@@ -93,6 +93,7 @@ _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
         context.session,
         context.output_root,
         context.scene.set_map,
+        context.scene.mark_cell,
         context.scene.visual,
     ),
     "Calibrate": lambda context: CalibratePanel(

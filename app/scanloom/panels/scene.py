@@ -90,6 +90,7 @@ class ScenePanel(Panel):
         self._fitted: tuple[CameraView, float] | None = None
         self._grid: OccupancyGrid | None = None
         self._map_poses: PoseLookup | None = None
+        self._differing_m: FloatArray | None = None
         self._map_theme = LIGHT
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
@@ -120,13 +121,19 @@ class ScenePanel(Panel):
         self._is_boxed = False
         client.camera.on_update(self._camera_moved)
 
-    def set_map(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
+    def set_map(
+        self,
+        grid: OccupancyGrid | None,
+        poses: PoseLookup | None = None,
+        differing_m: FloatArray | None = None,
+    ) -> None:
         """The map, None for none; from the Map panel. ``poses``: the LiDAR's in that map, where
-        they are not the recorded ones."""
+        they are not the recorded ones. ``differing_m``: as of ``MapNodes.show``."""
         is_first = self._grid is None and grid is not None
-        self._grid, self._map_poses = grid, poses
+        self._grid, self._map_poses, self._differing_m = grid, poses, differing_m
+        plane = None if grid is None else map_plane(grid, self._map_theme)
         with self._drawing:
-            self._nodes.map.show(None if grid is None else map_plane(grid, self._map_theme))
+            self._nodes.map.show(plane, differing_m)
         self._path_of = None
         if is_first and self._seen_step == "Map":
             # It is what the step is about: look at it once it is placed.
@@ -159,7 +166,7 @@ class ScenePanel(Panel):
         if theme is not self._map_theme:
             self._map_theme = theme
             if self._grid is not None:
-                self.set_map(self._grid, self._map_poses)
+                self.set_map(self._grid, self._map_poses, self._differing_m)
         with self._drawing:
             self._nodes.set_dark(is_dark)
             self._nodes.show_layers(layers)
@@ -229,7 +236,7 @@ class ScenePanel(Panel):
             self._opened = frame_view.open_recording, is_guessed
             self._seen_step = None
             self._nodes.clear()
-            self.set_map(self._grid, self._map_poses)
+            self.set_map(self._grid, self._map_poses, self._differing_m)
             self._depth_span_m = depth_span_m(geometry)
             self._seen = {}
         coloring = frame_view.view.panel, frame_view.is_dark
@@ -364,11 +371,18 @@ class ScenePanel(Panel):
             beam = self._nodes.pick(origin, direction)
             place_m = self._map_place(origin, direction)
         if place_m is not None:
-            with self._drawing:
-                self._nodes.map.mark_cell(place_m)
+            self.mark_cell(place_m)
             self.visual.on_place(place_m)
         if beam is not None:
             self._session.change(selected_beam=beam)
+
+    def mark_cell(self, place_m: FloatArray) -> None:
+        """Outline the map's cell at an (x, y)."""
+        if self.visual.is_seen:
+            self.visual.mark_cell(place_m)
+            return
+        with self._drawing:
+            self._nodes.map.mark_cell(place_m)
 
     def _map_place(self, origin: FloatArray, direction: FloatArray) -> FloatArray | None:
         """(2,) where a click's ray meets the map, in the map; None where none is seen."""

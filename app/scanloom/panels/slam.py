@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import viser
 
-from fusion_core.model.conventions import NS_PER_S
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import ExportError
 from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.grids import OccupancyGrid
@@ -70,7 +70,12 @@ class SlamPanel:
     """Runs ``map`` over the view's recording in a background thread."""
 
     def __init__(
-        self, gui: viser.GuiApi, session: ClientSession, output_root: Path, stage: VisualStage
+        self,
+        gui: viser.GuiApi,
+        session: ClientSession,
+        output_root: Path,
+        stage: VisualStage,
+        on_cell: Callable[[FloatArray], None],
     ) -> None:
         self._session, self._root = session, output_root
         self._runs = SlamRuns()
@@ -141,7 +146,7 @@ class SlamPanel:
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._effective = add_effective_plot(gui)
         self._visual = VisualSlamPanel(gui, session, stage)
-        self._grids = GridLayers(gui, session)
+        self._grids = GridLayers(gui, session, on_cell)
         stage.on_place = self._grids.tell
         self._results = SlamResults(gui, session, self._runs, output_root)
         with gui.add_folder("The same from the command line"):
@@ -166,6 +171,11 @@ class SlamPanel:
     def grid_of(self, run: SlamRun | None) -> OccupancyGrid | None:
         """The grid that is to be seen of a run, None for none."""
         return None if run is None else self._grids.grid_of(run)
+
+    def differing_m(self, run: SlamRun) -> FloatArray:
+        """(N, 2) places of the cells of a run of which the two rules of fusion make different
+        things."""
+        return self._grids.differing_m(run)
 
     def show(self, frame_view: FrameView) -> None:
         """Display the options, the runs of the recording, and the equivalent command."""

@@ -31,6 +31,7 @@ _HEIGHT_PX = 64
 # Narrower than a phone's screen the strip's numbers do not fit.
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 240, 2400
 _FIRST_WIDTH_PX = 736
+_CURSOR_BEYOND_PX = 2.0
 # viser counts widgets up from 0.
 _LAST = 1e9
 
@@ -271,7 +272,9 @@ class TimelinePanel(Panel):
             return
         marks = []
         if (place := strip.place_of(frame_view.view.frame_index)) is not None:
-            marks.append(PictureMark("column", *place))
+            # Not over the legend above.
+            reach_px = 0.5 * strip.box.height + _CURSOR_BEYOND_PX
+            marks.append(PictureMark("column", *place, reach_px=reach_px))
         readout = ""
         hovered = self._hover.frame_index
         if hovered is not None and (place := strip.place_of(hovered)) is not None:

@@ -14,7 +14,8 @@ _NAMES: dict[NoiseClass, str] = {
     NoiseClass.CONFLICT: "two surfaces (conflict)",
 }
 _MEANINGS: dict[NoiseClass, str] = {
-    NoiseClass.GOOD: "Beams: LiDAR and camera see the same surface within the tolerance ε",
+    NoiseClass.GOOD: "Beams that end on a surface: the camera sees the same one within the "
+    "tolerance ε, or has no value there",
     NoiseClass.HOLE: "Beams that returned no range",
     NoiseClass.BURR: "Beams whose range lies on no surface",
     NoiseClass.CONFLICT: "Beams that see a surface where the camera sees another one",

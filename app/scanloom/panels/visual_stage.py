@@ -194,9 +194,13 @@ class VisualStage:
             return
         place_m = floor_place(ray_origin_m, ray_direction, self._floor_m)
         if place_m is not None:
-            with self._drawing:
-                self._nodes.mark_cell(place_m)
+            self.mark_cell(place_m)
             self.on_place(place_m)
+
+    def mark_cell(self, place_m: FloatArray) -> None:
+        """Outline the grid's cell at an (x, y)."""
+        with self._drawing:
+            self._nodes.mark_cell(place_m)
 
     def close(self) -> None:
         """Send nothing more."""

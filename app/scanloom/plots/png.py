@@ -8,6 +8,10 @@ import viser
 
 from fusion_core.model.conventions import ByteArray, read_only
 
+_OPTIONS = [
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE),
+]
 # By identity, as long as the picture lives.
 _encoded: dict[int, bytes] = {}
 
@@ -21,14 +25,13 @@ def show_picture(handle: viser.GuiImageHandle | viser.ImageHandle, rgb: ByteArra
 
 def png_of(rgb: ByteArray) -> bytes:
     """A picture, (H, W, 3) uint8, as PNG. Drawings, with their flat areas, take a third of the
-    bytes and less time with this strategy than with OpenCV's usual one."""
+    bytes and less time with this strategy and no filter than as OpenCV writes them by itself."""
     key = id(rgb)
     if key not in _encoded:
         read_only(rgb)
         bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
-        options = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT]
         weakref.finalize(rgb, _encoded.pop, key, None)
-        _encoded[key] = cv2.imencode(".png", bgr, options)[1].tobytes()
+        _encoded[key] = cv2.imencode(".png", bgr, _OPTIONS)[1].tobytes()
     return _encoded[key]
 
 

@@ -16,8 +16,12 @@ from scanloom.scene.stage_colors import LIGHT
 
 # Coplanar layers are drawn with a small offset against z-fighting.
 _APART_M = 0.01
+# The side of the square around a picked cell, in cells.
+_MARK_CELLS = np.float32(7.0)
 CELL_COLOR: Color = color_of("depth")
 """Of the outline of a cell that is picked."""
+DIFFERING_COLOR: Color = color_of("conflict")
+"""Of the outlines of cells of which two rules of fusion make different things."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,16 +52,25 @@ def map_plane(grid: OccupancyGrid, theme: Theme) -> MapPlane:
     )
 
 
-def cell_outline(plane: MapPlane, place_m: FloatArray, height_m: float) -> Segments:
-    """(4, 2, 3) the edges of the cell at an (x, y), none outside of the map."""
-    step_m = plane.resolution_m
-    cell = np.floor((place_m - np.array(plane.origin_m)) / step_m)
-    if not (0 <= cell[0] < plane.picture.shape[1] and 0 <= cell[1] < plane.picture.shape[0]):
+def cell_outlines(plane: MapPlane, places_m: FloatArray, height_m: float) -> Segments:
+    """(4 N, 2, 3) the edges of the cells at (N, 2) places, or at one; none outside of the map."""
+    step_m, cells = plane.resolution_m, plane.picture.shape[1::-1]
+    cell = np.floor((np.atleast_2d(places_m) - np.array(plane.origin_m)) / step_m)
+    low = plane.origin_m + step_m * cell[((cell >= 0) & (cell < cells)).all(axis=1)]
+    if not len(low):
         return NO_SEGMENTS
-    low = plane.origin_m + cell * step_m
-    round_m = low + step_m * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
-    corners = np.column_stack([round_m, np.full(5, height_m)]).astype(np.float32)
-    return np.stack([corners[:-1], corners[1:]], axis=1)
+    around = step_m * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    corners = np.full((len(low), 5, 3), height_m, dtype=np.float32)
+    corners[..., :2] = low[:, np.newaxis] + around
+    return np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+
+def cell_mark(plane: MapPlane, place_m: FloatArray, height_m: float) -> Segments:
+    """(8, 2, 3) the edges of the cell at an (x, y), and of a larger square around it, which is seen
+    from far; none outside of the map."""
+    cell = cell_outlines(plane, place_m, height_m)
+    middle = cell.reshape(-1, 3).mean(axis=0) if len(cell) else 0.0
+    return np.concatenate([cell, middle + _MARK_CELLS * (cell - middle)])
 
 
 class MapNodes:
@@ -69,13 +82,18 @@ class MapNodes:
         self._frame = scene.add_frame("/in_map", show_axes=False, visible=False)
         self._path = lines(scene, "/in_map/path", LIGHT.ink, thickness_px=3.0)
         self._cell = lines(scene, "/in_map/cell", CELL_COLOR, thickness_px=3.0)
+        self._differing = lines(scene, "/in_map/differing", DIFFERING_COLOR, thickness_px=2.0)
         self._plane: MapPlane | None = None
         self._image: viser.ImageHandle | None = None
 
-    def show(self, plane: MapPlane | None) -> None:
-        """A map in the LiDAR's plane, None for none."""
+    def show(self, plane: MapPlane | None, differing_m: FloatArray | None = None) -> None:
+        """A map in the LiDAR's plane, None for none. ``differing_m``: (N, 2) places of the cells
+        of which two rules of fusion make different things."""
         self._plane = plane
-        self._cell.empty()
+        for outlines in (self._cell, self._differing):
+            outlines.empty()
+        if plane is not None and differing_m is not None:
+            self._differing.draw(cell_outlines(plane, differing_m, -_APART_M))
         if plane is None:
             if self._image is not None:
                 self._image.visible = False
@@ -104,7 +122,7 @@ class MapNodes:
     def mark_cell(self, place_m: FloatArray) -> None:
         """Outline the cell at an (x, y) of the map."""
         if self._plane is not None:
-            self._cell.draw(cell_outline(self._plane, place_m, 0.0))
+            self._cell.draw(cell_mark(self._plane, place_m, 0.0))
 
     def show_path(self, positions_in_map: FloatArray) -> None:
         """The LiDAR's trajectory, (N, 2) or (N, 3), in its plane; NaN where no pose is known."""

@@ -192,15 +192,13 @@ def counted(number: int, what: str) -> str:
 
 
 def _map(frame_view: FrameView) -> Verdict:
-    if (
-        frame_view.view.slam.is_visual
-        and map_mode_of(frame_view.view, frame_view.open_recording) == "SLAM"
-    ):
+    is_slam = map_mode_of(frame_view.view, frame_view.open_recording) == "SLAM"
+    if is_slam and frame_view.view.slam.is_visual:
         return Verdict(
             sentence="Build a map in space by visual SLAM",
             detail="Of the whole recording: the pose of every image, and what they show.",
         )
-    if not frame_view.open_recording.can_be_fused:
+    if is_slam:
         return Verdict(
             sentence="Build a map by SLAM",
             detail="Of the whole recording: the pose of every scan, and the map that they make.",

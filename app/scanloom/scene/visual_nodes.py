@@ -10,7 +10,7 @@ from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, r
 from scanloom.plots.palette import Color, color_of
 from scanloom.scene.geometry import NO_SEGMENTS, path_segments, quaternion
 from scanloom.scene.geometry_nodes import intensities, lines
-from scanloom.scene.map_nodes import CELL_COLOR, MapPlane, cell_outline
+from scanloom.scene.map_nodes import CELL_COLOR, MapPlane, cell_mark
 from scanloom.scene.stage_colors import StageColors, stage_colors
 from scanloom.scene.visual_picture import VisualPicture
 from scanloom.scene.visual_shapes import (
@@ -187,7 +187,7 @@ class VisualNodes:
     def mark_cell(self, place_m: FloatArray) -> None:
         """Outline the grid's cell at an (x, y)."""
         if self._plane is not None:
-            self._cell.draw(cell_outline(self._plane, place_m, self._floor_m))
+            self._cell.draw(cell_mark(self._plane, place_m, self._floor_m))
 
     def pick(self, frusta: Sequence[PickedKeyframe]) -> None:
         """The keyframes that stand out, instead of those before."""

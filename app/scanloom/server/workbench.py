@@ -116,7 +116,12 @@ class Workbench:
         )
         # A floating panel would cover the right part of the scene until the page is laid out.
         self._server.gui.main_panel.dock_right()
-        self._server.scene.set_up_direction("+z")
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        # Nothing here mirrors its surroundings or casts a shadow, and until a browser has decoded
+        # viser's photograph of a city it hides the scene behind 5 % opacity.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
 

@@ -23,6 +23,9 @@ from fusion_core.workflows.fuse.session import Session
 # Scans that are read to either side of an image, in the order of the log.
 _SCANS_BESIDE = 6
 _SCANS_KEPT = 64
+# Of each camera. An image is read for its own frame, for the one after it and for the panoramas
+# beside it, and a survey may read elsewhere meanwhile.
+_IMAGES_KEPT = 6
 
 
 class FrameReader:
@@ -48,6 +51,9 @@ class FrameReader:
             np.empty(0, np.int64) if lidar is None else recording.received_ns(lidar)
         )
         self._scans: BoundedCache[int, LaserScan | None] = BoundedCache(_SCANS_KEPT)
+        self._images: BoundedCache[tuple[int, int], object] = BoundedCache(
+            _IMAGES_KEPT * len(self._topics)
+        )
 
     def __len__(self) -> int:
         return int(self.times_ns.size)
@@ -61,7 +67,7 @@ class FrameReader:
         one that cannot be read or is of another size than the rig's."""
         camera = self.camera_of(number)
         topic, view = self._topics[camera], self._session.rig.views[camera]
-        value = self._session.recording.read(topic, int(self._index[number])).value
+        value = self._stored(camera, int(self._index[number]))
         if not isinstance(value, DepthImage):
             raise MissingStream(f"{topic} holds no depth images.")
         if value.depth_m.shape != view.stored_shape:
@@ -73,6 +79,13 @@ class FrameReader:
                 advice="It is of another rig than the rest: go to another frame.",
             )
         return value
+
+    def _stored(self, camera: int, index: int) -> object:
+        """What a camera's topic holds at an index: of a depth camera its images."""
+        read = self._session.recording.read
+        return self._images.get_or_compute(
+            (camera, index), lambda: read(self._topics[camera], index).value
+        )
 
     def pair(self, number: int, clock_offset_ms: float = 0.0) -> PairedImage:
         """A frame and its scan, as a pass over the recording pairs them."""
@@ -120,7 +133,7 @@ class FrameReader:
             return None
         camera = self.camera_of(number)
         try:
-            value = self._session.recording.read(self._topics[camera], index - 1).value
+            value = self._stored(camera, index - 1)
         except RecordingError:
             return None
         shape = self._session.rig.views[camera].stored_shape

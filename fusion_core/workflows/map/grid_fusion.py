@@ -20,6 +20,7 @@ from fusion_core.mapping.grid_misalignment import (
     estimate_misalignment,
 )
 from fusion_core.mapping.moved_grid import move_grid
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ExportError, MissingStream, RegistrationFailed
 from fusion_core.model.grid_fusion import FusionRule, GridFusion
 from fusion_core.model.grids import OccupancyGrid
@@ -30,6 +31,7 @@ __all__ = [
     "EVIDENCE_NAME",
     "FusedGrids",
     "cell_evidence",
+    "differing_places_m",
     "fuse_named_grids",
     "fusion_notes",
     "fusion_report",
@@ -197,6 +199,16 @@ def read_evidence(folder: Path) -> dict[str, OccupancyGrid]:
             file=path,
             advice="Run it again.",
         ) from error
+
+
+def differing_places_m(grids: Mapping[str, OccupancyGrid]) -> FloatArray:
+    """(N, 2) middles of the cells, in the map frame, whose state by Table 3 is another than by
+    (10), row by row. ``grids``: two by name, as ``read_evidence`` gives them."""
+    fusion = fuse_grids(grids)
+    row, column = np.nonzero(fusion.rules_differ)
+    cells = np.column_stack([column, row]) + 0.5
+    places_m: FloatArray = np.array(fusion.table.origin_m) + fusion.table.resolution_m * cells
+    return places_m
 
 
 def _misalignment_report(fused: FusedGrids) -> dict[str, Any]:

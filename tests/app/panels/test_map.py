@@ -41,10 +41,15 @@ class Bench:
         view = View(recording=next(iter(self.library.named())), panel="Map")
         self.session = ClientSession(client, self.library, view)
         self.stage = VisualStage(client, self.session)
-        self.panel = MapPanel(client.gui, self.session, self.root, self.floor.append, self.stage)
+        self.panel = MapPanel(
+            client.gui, self.session, self.root, self._take, lambda _: None, self.stage
+        )
         self.session.panels = [self.panel]
         self.session.refresh()
         self.furnished.set()
+
+    def _take(self, grid: OccupancyGrid | None, *_: object) -> None:
+        self.floor.append(grid)
 
     def close(self) -> None:
         self.panel.close()

@@ -62,6 +62,18 @@ def run_in(folder: Path, **grids: OccupancyGrid) -> Any:
     return SimpleNamespace(folder=folder, grids=grids, files=files)
 
 
+def fused_run_in(folder: Path, monkeypatch: pytest.MonkeyPatch, **log_odds: float) -> Any:
+    """A run that fused grids of these values."""
+    results = results_in(folder)
+    results.mkdir()
+    for figure in ("write_fusion_figure", "write_misalignment_figure"):
+        monkeypatch.setattr(grid_fusion, figure, lambda *_: None)
+    grids = {name: cells(value) for name, value in log_odds.items()}
+    fused = grid_fusion.fuse_named_grids(grids, "table", GridFusionSettings())
+    grid_fusion.write_fusion(results, fused, "a room")
+    return run_in(folder, **grids, fused=fused.result)
+
+
 def cells(log_odds: float) -> OccupancyGrid:
     """2 by 2 of one value, at the origin."""
     return OccupancyGrid(resolution_m=0.05, origin_m=(0.0, 0.0), log_odds=np.full((2, 2), log_odds))
@@ -109,19 +121,47 @@ def test_a_cell_tells_its_states_or_its_evidence(
     layers.tell(np.array([0.0, 0.0]))
     assert "free" in layers._cell.content
     assert "log odds" not in layers._cell.content
-    results = results_in(tmp_path)
-    results.mkdir()
-    for figure in ("write_fusion_figure", "write_misalignment_figure"):
-        monkeypatch.setattr(grid_fusion, figure, lambda *_: None)
-    grids = {name: cells(log_odds) for name, log_odds in (("lidar", -1.0), ("camera", 2.5))}
-    fused = grid_fusion.fuse_named_grids(grids, "table", GridFusionSettings())
-    grid_fusion.write_fusion(results, fused, "a room")
+    layers.show(fused_run_in(tmp_path, monkeypatch, lidar=-1.0, camera=2.5))
     layers.tell(np.array([0.02, 0.02]))
     for words in ("LiDAR", "camera", "-1.00", "+2.50", "+1.50", "by Table 3", "by (10)"):
         assert words in layers._cell.content, words
     layers.tell(np.array([9.0, 9.0]))
     assert "occupied" not in layers._cell.content
     assert not session.failures
+
+
+def test_the_cells_where_the_rules_differ_are_gone_through(
+    server: viser.ViserServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outlined: list[list[float]] = []
+    layers = GridLayers(
+        server.gui,
+        Session(),  # type: ignore[arg-type]  # as much as it needs
+        lambda place_m: outlined.append(np.round(place_m, 3).tolist()),
+    )
+    # By Table 3 the obstacle stays, by (10) the cell is free.
+    run = fused_run_in(tmp_path, monkeypatch, lidar=-3.0, camera=2.0)
+    layers.show(run)
+    middles_m = [[0.025, 0.025], [0.075, 0.025], [0.025, 0.075], [0.075, 0.075]]
+    assert np.round(layers.differing_m(run), 3).tolist() == middles_m
+    assert "4 cells are another by Table 3" in layers._differing.content
+    for _ in range(5):
+        layers._go_on.value = True
+        assert "The rules differ" in layers._cell.content
+    assert outlined == [*middles_m, middles_m[0]]
+    alone = run_in(tmp_path / "alone", lidar=room())
+    layers.show(alone)
+    assert not len(layers.differing_m(alone))
+    assert not layers._go_on.visible
+
+
+def test_rules_that_agree_offer_no_cell(
+    server: viser.ViserServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layers = GridLayers(server.gui, Session())  # type: ignore[arg-type]  # as much as it needs
+    layers.show(fused_run_in(tmp_path, monkeypatch, lidar=-1.0, camera=2.5))
+    assert not layers._differing.visible
+    assert not layers._go_on.visible
 
 
 def test_spoilt_evidence_is_reported(server: viser.ViserServer, tmp_path: Path) -> None:
@@ -209,7 +249,7 @@ def test_earlier_results_are_listed_and_opened(tmp_path: Path) -> None:
     assert set(found) == {saved, root / "a_room.mcap"}
     view = View(recording=recording.name)
     run = reopen(saved, into, 7, view)
-    assert run.name == "7: lidar, recorded, pose-graph, from a_room.mcap-2"
+    assert run.name == "7: from a_room.mcap-2, lidar, recorded, pose-graph"
     assert set(run.grids) == {"lidar"}
     assert run.folder == into / "run-7"
     assert run.files.report == read_results(saved / "results")[0].report

@@ -228,3 +228,20 @@ def test_the_map_is_drawn_for_the_theme(bench: Bench) -> None:
         bench.change(color_scheme=scheme)
         assert tuple(drawn.image[0, 0]) == theme.unknown
     bench.panel.set_map(None)
+
+
+def test_cells_of_the_map_stand_out_until_another_map(bench: Bench) -> None:
+    grid = OccupancyGrid(resolution_m=0.05, origin_m=(0.0, 0.0), log_odds=np.full((4, 6), np.nan))
+    node = bench.session._client.scene.get_handle_by_name
+    bench.panel.set_map(grid, None, np.array([[0.02, 0.02], [0.12, 0.07]]))
+    assert node("/in_map/differing").visible
+    assert node("/in_map/differing").points.shape == (8, 2, 3)
+    bench.panel.mark_cell(np.array([0.12, 0.07]))
+    assert node("/in_map/cell").visible
+    # The theme draws the same map anew.
+    bench.change(color_scheme="dark")
+    assert node("/in_map/differing").visible
+    bench.panel.set_map(grid)
+    assert not node("/in_map/differing").visible
+    assert not node("/in_map/cell").visible
+    bench.panel.set_map(None)

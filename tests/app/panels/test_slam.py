@@ -46,11 +46,11 @@ class Page:
         view = View(recording=next(iter(library.named())), panel="Map", map_mode="SLAM")
         self.session = ClientSession(client, library, view)
         self.stage = VisualStage(client, self.session)
-        self.panel = MapPanel(client.gui, self.session, root, self.take, self.stage)
+        self.panel = MapPanel(client.gui, self.session, root, self.take, lambda _: None, self.stage)
         self.session.panels = [self.panel]
         self.session.refresh()
 
-    def take(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
+    def take(self, grid: OccupancyGrid | None, poses: PoseLookup | None, _: object) -> None:
         self.floor.append((grid, poses))
 
     def close(self) -> None:

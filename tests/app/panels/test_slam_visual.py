@@ -47,7 +47,9 @@ class Page:
         )
         self.session = ClientSession(client, self.library, view)
         self.stage = VisualStage(client, self.session)
-        self.panel = MapPanel(client.gui, self.session, self.root, lambda *_: None, self.stage)
+        self.panel = MapPanel(
+            client.gui, self.session, self.root, lambda *_: None, lambda _: None, self.stage
+        )
         self.session.panels = [self.panel]
         self.session.refresh()
         self.furnished.set()

@@ -257,6 +257,9 @@ def test_the_cursor_moves_without_a_new_picture(visit: Visit) -> None:
     assert marks[0]["kind"] == "column"
     assert strip is not None
     assert marks[0]["x_px"] == pytest.approx(strip.place_of(11)[0], abs=0.1)  # type: ignore[index]  # it exists
+    # The legend is above the box.
+    above_px = strip.box.top - (marks[0]["y_px"] - marks[0]["reach_px"])
+    assert 0.0 <= above_px < 4.0
 
 
 def test_play_says_pause_and_stops_again(visit: Visit) -> None:

@@ -133,3 +133,24 @@ def test_a_raw_frame_is_read_without_a_pass_over_the_recording(log, monkeypatch)
     )
     assert frames.raw_pair(20).window is not None
     assert len(count) <= 13
+
+
+def test_an_image_is_read_once_for_its_own_frame_and_for_the_next(log, monkeypatch):
+    log.info()
+    for index in range(12):
+        log.scan(100.0 * index)
+        log.image(100.0 * index + 20.0)
+    session, frames = reader_of(log)
+    recording, read_images = session.recording, []
+    read = recording.read
+
+    def note(topic, index):
+        if topic != "/scan":
+            read_images.append(index)
+        return read(topic, index)
+
+    monkeypatch.setattr(recording, "read", note)
+    for number in range(3, 8):
+        assert frames.pair(number).image is frames.image(number)
+        assert frames.previous(number).stamp_ns == frames.image(number - 1).stamp_ns
+    assert sorted(read_images) == list(range(2, 8))
