@@ -30,7 +30,12 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics, PoseSample
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.slam.visual.visual_slam import VisualSlamResult, visual_slam
+from fusion_core.slam.visual.visual_slam import (
+    VisualSlamResult,
+    VisualSlamSettings,
+    visual_slam,
+)
+from fusion_core.workflows.map.visual.color_registration import register_colors
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
 
 RECORDINGS = {
@@ -146,7 +151,8 @@ def print_errors() -> None:
     for name in RECORDINGS:
         images = read_images(name)
         start_s = time.perf_counter()
-        result = run_slam(images.frames, images.intrinsics)
+        frames = register_colors(images.frames, images.intrinsics, VisualSlamSettings())
+        result = run_slam(frames, images.intrinsics)
         seconds = time.perf_counter() - start_s
         tracked = result.is_tracked
         rows = [
@@ -182,7 +188,7 @@ def to_and_fro(images: list[RgbdFrame], count: int) -> Iterator[RgbdFrame]:
 def measure_length(count: int) -> dict[str, float]:
     """Cost and memory of a run; in a process of its own."""
     source = read_images("seven_scenes")
-    images = list(source.frames)
+    images = list(register_colors(source.frames, source.intrinsics, VisualSlamSettings()))
     run_slam(images[:_WARM_UP], source.intrinsics)
     base_mib = _resident_mib()
     wall_s, cpu_s = time.perf_counter(), time.process_time()
@@ -299,7 +305,8 @@ FAULTS: dict[str, Callable[[list[RgbdFrame]], Iterator[RgbdFrame]]] = {
 
 def print_faults(count: int) -> None:
     images = read_images("seven_scenes")
-    frames = list(images.frames)[:count]
+    registered = register_colors(images.frames, images.intrinsics, VisualSlamSettings())
+    frames = list(registered)[:count]
     place = {frame.stamp_ns: number for number, frame in enumerate(frames)}
     print(
         f"{'fault':24} {'poses':>9} {'ATE RMSE (m)':>12} {'greatest step (m)':>17} "

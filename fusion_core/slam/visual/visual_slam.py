@@ -28,6 +28,9 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamView, unobserved
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.color_zoom import ColorZoomSettings
+from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings
+from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
 from fusion_core.slam.visual.image_trajectory import (
     ImageTrajectory,
@@ -82,11 +85,13 @@ class VisualMappingSettings(StageSettings):
 class VisualSlamSettings(VisualLoopSettings):
     """Every stage's settings."""
 
+    color_zoom: ColorZoomSettings = ColorZoomSettings()
     features: FeatureSettings = FeatureSettings()
     observation_noise: ObservationNoise = ObservationNoise()
     tracking: TrackingSettings = TrackingSettings()
     keyframes: KeyframePolicy = KeyframePolicy()
     local_mapping: LocalMappingSettings = LocalMappingSettings()
+    depth_alignment: DepthAlignmentSettings = DepthAlignmentSettings()
     visual_mapping: VisualMappingSettings = VisualMappingSettings()
 
 
@@ -156,7 +161,10 @@ class _VisualSlam:
         noise, levels = settings.observation_noise, settings.features.levels
         self._extractor = FeatureExtractor(intrinsics, settings.features)
         self._tracker = Tracker(intrinsics, settings.tracking, noise, levels)
-        self._mapping = LocalMapping(intrinsics, settings.local_mapping, noise, levels)
+        self._mapping = LocalMapping(
+            intrinsics, settings.local_mapping, noise, levels, settings.depth_alignment
+        )
+        self._surfaces = SurfaceSampler(intrinsics)
         self._map = VisualMap()
         self._loops = LoopCloser(self._map, intrinsics, noise, settings)
         self._trajectory = ImageTrajectory()
@@ -248,7 +256,12 @@ class _VisualSlam:
     def _add_keyframe(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         parent = None if self._local is None else self._local.reference
         keyframe = self._map.add_keyframe(
-            frame.stamp_ns, tracked.features, tracked.T_map_camera, tracked.landmarks, parent
+            frame.stamp_ns,
+            tracked.features,
+            tracked.T_map_camera,
+            tracked.landmarks,
+            parent,
+            self._surfaces.reduce(frame.depth_m),
         )
         made = new_landmarks(self._map, keyframe, tracked.positions_in_map_m)
         tracked.landmarks = keyframe.landmarks.copy()
