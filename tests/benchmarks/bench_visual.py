@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from fusion_core.evaluation.umeyama import align_positions
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.geometry import invert_transform
 from fusion_core.model.rgbd_frame import RgbdFrame
@@ -35,8 +35,8 @@ from fusion_core.slam.visual.visual_slam import (
     VisualSlamSettings,
     visual_slam,
 )
-from fusion_core.workflows.map.visual.color_registration import register_colors
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+from fusion_core.workflows.map.visual.color_registration import register_colors
 
 RECORDINGS = {
     "seven_scenes": "real/rgbd/seven_scenes",
@@ -310,7 +310,7 @@ def print_faults(count: int) -> None:
     place = {frame.stamp_ns: number for number, frame in enumerate(frames)}
     print(
         f"{'fault':24} {'poses':>9} {'ATE RMSE (m)':>12} {'greatest step (m)':>17} "
-        f"{'jumps':>5} lost"
+        f"{'jumps':>5} {'doubtful (s)':>12} lost"
     )
     for name, spoil in FAULTS.items():
         spoilt = list(spoil(frames))
@@ -323,12 +323,13 @@ def print_faults(count: int) -> None:
         truth = images.truth[[place[stamp] for stamp in result.stamps_ns.tolist()]][tracked]
         poses = result.T_map_camera[tracked]
         step_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max()
+        doubtful_s = sum(s.last_stamp_ns - s.first_stamp_ns for s in result.doubtful) / NS_PER_S
         lost = ", ".join(
             f"{stretch.first}-{stretch.last} {stretch.reason}" for stretch in result.lost
         )
         print(
             f"{name:24} {f'{tracked.sum()}/{len(spoilt)}':>9} {ate_m(poses, truth):12.4f} "
-            f"{step_m:17.3f} {len(result.jumps):5d} {lost or '-'}",
+            f"{step_m:17.3f} {len(result.jumps):5d} {doubtful_s:12.1f} {lost or '-'}",
             flush=True,
         )
 

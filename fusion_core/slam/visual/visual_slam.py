@@ -30,6 +30,11 @@ from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamVie
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.color_zoom import ColorZoomSettings
 from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings
+from fusion_core.slam.visual.depth_consistency import (
+    DepthCheck,
+    DepthCheckSettings,
+    DoubtfulStretch,
+)
 from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
 from fusion_core.slam.visual.image_trajectory import (
@@ -92,6 +97,7 @@ class VisualSlamSettings(VisualLoopSettings):
     keyframes: KeyframePolicy = KeyframePolicy()
     local_mapping: LocalMappingSettings = LocalMappingSettings()
     depth_alignment: DepthAlignmentSettings = DepthAlignmentSettings()
+    depth_check: DepthCheckSettings = DepthCheckSettings()
     visual_mapping: VisualMappingSettings = VisualMappingSettings()
 
 
@@ -110,6 +116,7 @@ class VisualSlamResult:
     visual_map: VisualMap
     lost: tuple[LostStretch, ...]
     jumps: tuple[Jump, ...]
+    doubtful: tuple[DoubtfulStretch, ...]
     refused_loops: tuple[RefusedLoop, ...]
     seconds: dict[str, float]
     notes: tuple[str, ...] = ()
@@ -165,6 +172,7 @@ class _VisualSlam:
             intrinsics, settings.local_mapping, noise, levels, settings.depth_alignment
         )
         self._surfaces = SurfaceSampler(intrinsics)
+        self._depth_check = DepthCheck(intrinsics, settings.depth_check, noise.depth_sigma_per_m2)
         self._map = VisualMap()
         self._loops = LoopCloser(self._map, intrinsics, noise, settings)
         self._trajectory = ImageTrajectory()
@@ -230,6 +238,9 @@ class _VisualSlam:
     def _accept(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         assert self._local is not None, "tracked images have a local map"
         T_reference_map = invert_transform(self._local.T_map_reference)
+        self._depth_check.check(
+            len(self._trajectory.stamps_ns), frame.depth_m, tracked.T_map_camera, self._local
+        )
         before = self._last
         self._velocity = None
         if before is not None:
@@ -399,6 +410,7 @@ class _VisualSlam:
             visual_map=self._map,
             lost=lost,
             jumps=find_jumps(stamps_ns, poses, is_tracked),
+            doubtful=self._depth_check.doubtful(stamps_ns),
             refused_loops=tuple(self._loops.refused),
             seconds=dict(self._seconds),
         )
