@@ -139,11 +139,12 @@ def adjust_sparse(problem: BundleProblem, iterations: int) -> BundleResult:
             )
         graph.add(factor)
     for alignment in problem.alignments:
+        # gtsam's error is in the frame of the second of its keys, as the information is.
         graph.add(
             gtsam.BetweenFactorPose3(
-                alignment.second,
                 alignment.first,
-                gtsam.Pose3(alignment.T_second_first),
+                alignment.second,
+                gtsam.Pose3(invert_transform(alignment.T_second_first)),
                 _robust(gtsam.noiseModel.Gaussian.Information(alignment.information), 6),
             )
         )

@@ -25,9 +25,6 @@ class RegisteredFrames:
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         for frame in self.frames:
-            if self.zoom == 1.0:
-                yield frame
-                continue
             yield replace(
                 frame,
                 gray=magnify(frame.gray, self.zoom, self.intrinsics),
@@ -54,6 +51,8 @@ def register_colors(
 
 def magnify(image: ByteArray, zoom: float, intrinsics: CameraIntrinsics) -> ByteArray:
     """An image of (H, W) or (H, W, 3), of the same size; black where nothing is known."""
+    if zoom == 1.0:
+        return image
     shift = (1.0 - 1.0 / zoom) * np.array([intrinsics.cx, intrinsics.cy])
     source_of = np.array([[1.0 / zoom, 0.0, shift[0]], [0.0, 1.0 / zoom, shift[1]]])
     height, width = image.shape[:2]
