@@ -1,6 +1,7 @@
 """Visual SLAM on recorded RGB-D images: error, speed, memory and faults.
 
     python -m tests.benchmarks.bench_visual            # error, with Open3D's beside it
+    python -m tests.benchmarks.bench_visual --cuts     # error over parts of the images
     python -m tests.benchmarks.bench_visual --speed    # images a second, cost and memory by length
     python -m tests.benchmarks.bench_visual --faults   # error of images that were spoilt
 
@@ -173,6 +174,31 @@ def print_errors() -> None:
             print(f"{name:14} {method:34} {count:>9} {error_m:13.4f} {took_s:9.1f}", flush=True)
 
 
+CUTS: dict[str, Callable[[list], list]] = {
+    "first half": lambda images: images[: len(images) // 2],
+    "second half": lambda images: images[len(images) // 2 :],
+    "middle half": lambda images: images[len(images) // 4 : 3 * len(images) // 4],
+    "every second": lambda images: images[::2],
+    "reversed": lambda images: images[::-1],
+}
+
+
+def print_cuts() -> None:
+    """The error over parts of the images, each with a map and a zoom of its own."""
+    images = read_images("seven_scenes")
+    both = list(zip(images.frames, images.truth, strict=True))
+    print(f"{'images':14} {'poses':>9} {'ATE RMSE (m)':>13} {'zoom of colour':>14}")
+    for name, cut in CUTS.items():
+        part = cut(both)
+        frames = [replace(frame, stamp_ns=33_333_333 * k) for k, (frame, _) in enumerate(part)]
+        registered = register_colors(frames, images.intrinsics, VisualSlamSettings())
+        result = run_slam(registered, images.intrinsics)
+        tracked = result.is_tracked
+        error_m = ate_m(result.T_map_camera[tracked], np.stack([T for _, T in part])[tracked])
+        count = f"{tracked.sum()}/{len(part)}"
+        print(f"{name:14} {count:>9} {error_m:13.4f} {registered.zoom:14.3f}", flush=True)
+
+
 # --- speed -------------------------------------------------------------------
 
 
@@ -336,6 +362,7 @@ def print_faults(count: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cuts", action="store_true")
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--images", type=int, default=300, help="of --faults")
@@ -345,6 +372,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     if chosen.length:
         print(json.dumps(measure_length(chosen.length)))
+    elif chosen.cuts:
+        print_cuts()
     elif chosen.speed:
         print_speed(chosen.lengths)
     elif chosen.faults:
