@@ -27,7 +27,7 @@ class DepthAlignmentSettings(StageSettings):
     """Settings of dense alignment between keyframes."""
 
     neighbours_max: int = setting(
-        4,
+        10,
         "Keyframes to which the depth image of a new one is aligned; 0 for none",
         unit="keyframes",
         ge=0,
