@@ -1,6 +1,7 @@
 """Visual SLAM on recorded RGB-D images: error, speed, memory and faults.
 
     python -m tests.benchmarks.bench_visual            # error, with Open3D's beside it
+    python -m tests.benchmarks.bench_visual --cuts     # error over parts of the images
     python -m tests.benchmarks.bench_visual --speed    # images a second, cost and memory by length
     python -m tests.benchmarks.bench_visual --faults   # error of images that were spoilt
 
@@ -23,15 +24,20 @@ import cv2
 import numpy as np
 
 from fusion_core.evaluation.umeyama import align_positions
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.geometry import invert_transform
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics, PoseSample
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.slam.visual.visual_slam import VisualSlamResult, visual_slam
+from fusion_core.slam.visual.visual_slam import (
+    VisualSlamResult,
+    VisualSlamSettings,
+    visual_slam,
+)
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+from fusion_core.workflows.map.visual.color_registration import register_colors
 
 RECORDINGS = {
     "seven_scenes": "real/rgbd/seven_scenes",
@@ -146,7 +152,8 @@ def print_errors() -> None:
     for name in RECORDINGS:
         images = read_images(name)
         start_s = time.perf_counter()
-        result = run_slam(images.frames, images.intrinsics)
+        frames = register_colors(images.frames, images.intrinsics, VisualSlamSettings())
+        result = run_slam(frames, images.intrinsics)
         seconds = time.perf_counter() - start_s
         tracked = result.is_tracked
         rows = [
@@ -167,6 +174,31 @@ def print_errors() -> None:
             print(f"{name:14} {method:34} {count:>9} {error_m:13.4f} {took_s:9.1f}", flush=True)
 
 
+CUTS: dict[str, Callable[[list], list]] = {
+    "first half": lambda images: images[: len(images) // 2],
+    "second half": lambda images: images[len(images) // 2 :],
+    "middle half": lambda images: images[len(images) // 4 : 3 * len(images) // 4],
+    "every second": lambda images: images[::2],
+    "reversed": lambda images: images[::-1],
+}
+
+
+def print_cuts() -> None:
+    """The error over parts of the images, each with a map and a zoom of its own."""
+    images = read_images("seven_scenes")
+    both = list(zip(images.frames, images.truth, strict=True))
+    print(f"{'images':14} {'poses':>9} {'ATE RMSE (m)':>13} {'zoom of colour':>14}")
+    for name, cut in CUTS.items():
+        part = cut(both)
+        frames = [replace(frame, stamp_ns=33_333_333 * k) for k, (frame, _) in enumerate(part)]
+        registered = register_colors(frames, images.intrinsics, VisualSlamSettings())
+        result = run_slam(registered, images.intrinsics)
+        tracked = result.is_tracked
+        error_m = ate_m(result.T_map_camera[tracked], np.stack([T for _, T in part])[tracked])
+        count = f"{tracked.sum()}/{len(part)}"
+        print(f"{name:14} {count:>9} {error_m:13.4f} {registered.zoom:14.3f}", flush=True)
+
+
 # --- speed -------------------------------------------------------------------
 
 
@@ -182,7 +214,7 @@ def to_and_fro(images: list[RgbdFrame], count: int) -> Iterator[RgbdFrame]:
 def measure_length(count: int) -> dict[str, float]:
     """Cost and memory of a run; in a process of its own."""
     source = read_images("seven_scenes")
-    images = list(source.frames)
+    images = list(register_colors(source.frames, source.intrinsics, VisualSlamSettings()))
     run_slam(images[:_WARM_UP], source.intrinsics)
     base_mib = _resident_mib()
     wall_s, cpu_s = time.perf_counter(), time.process_time()
@@ -299,11 +331,12 @@ FAULTS: dict[str, Callable[[list[RgbdFrame]], Iterator[RgbdFrame]]] = {
 
 def print_faults(count: int) -> None:
     images = read_images("seven_scenes")
-    frames = list(images.frames)[:count]
+    registered = register_colors(images.frames, images.intrinsics, VisualSlamSettings())
+    frames = list(registered)[:count]
     place = {frame.stamp_ns: number for number, frame in enumerate(frames)}
     print(
         f"{'fault':24} {'poses':>9} {'ATE RMSE (m)':>12} {'greatest step (m)':>17} "
-        f"{'jumps':>5} lost"
+        f"{'jumps':>5} {'doubtful (s)':>12} lost"
     )
     for name, spoil in FAULTS.items():
         spoilt = list(spoil(frames))
@@ -316,18 +349,20 @@ def print_faults(count: int) -> None:
         truth = images.truth[[place[stamp] for stamp in result.stamps_ns.tolist()]][tracked]
         poses = result.T_map_camera[tracked]
         step_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max()
+        doubtful_s = sum(s.last_stamp_ns - s.first_stamp_ns for s in result.doubtful) / NS_PER_S
         lost = ", ".join(
             f"{stretch.first}-{stretch.last} {stretch.reason}" for stretch in result.lost
         )
         print(
             f"{name:24} {f'{tracked.sum()}/{len(spoilt)}':>9} {ate_m(poses, truth):12.4f} "
-            f"{step_m:17.3f} {len(result.jumps):5d} {lost or '-'}",
+            f"{step_m:17.3f} {len(result.jumps):5d} {doubtful_s:12.1f} {lost or '-'}",
             flush=True,
         )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cuts", action="store_true")
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--images", type=int, default=300, help="of --faults")
@@ -337,6 +372,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     if chosen.length:
         print(json.dumps(measure_length(chosen.length)))
+    elif chosen.cuts:
+        print_cuts()
     elif chosen.speed:
         print_speed(chosen.lengths)
     elif chosen.faults:

@@ -214,7 +214,12 @@ class KeyframesPanel:
         if held is None or held[0] is not pair.run:
             offset_ns = round(pair.run.options.clock_offset_ms * NS_PER_MS)
             opened = pair.opened
-            images = ImageLookup(opened.recording, opened.opened.streams, clock_offset_ns=offset_ns)
+            images = ImageLookup(
+                opened.recording,
+                opened.opened.streams,
+                clock_offset_ns=offset_ns,
+                color_zoom=float(pair.run.files.report.get("color_zoom", 1.0)),
+            )
             held = self._images = pair.run, images
         return held[1]
 

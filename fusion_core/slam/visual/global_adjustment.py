@@ -13,7 +13,12 @@ from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, BundleResult
-from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL, ObservationNoise
+from fusion_core.slam.visual.observation_noise import (
+    CHI2_DEPTH,
+    CHI2_PIXEL,
+    CHI2_POSE,
+    ObservationNoise,
+)
 from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.visual_map import VisualMap
 
@@ -68,6 +73,7 @@ def adjust_globally(
         pixel_sigmas=noise.pixel_sigmas(observations.octaves[rows]),
         camera=camera_parameters(intrinsics),
         depth_sigma_per_m2=noise.depth_sigma_per_m2,
+        alignments=visual_map.alignments_between(kept),
     )
     result = adjust_sparse(problem, settings.iterations)
     for index, T_camera_map in zip(kept.tolist(), result.T_camera_map, strict=True):
@@ -132,6 +138,16 @@ def adjust_sparse(problem: BundleProblem, iterations: int) -> BundleResult:
                 problem.pixels[row], plain_noises[sigma], keyframe, landmark, plain_calibration
             )
         graph.add(factor)
+    for alignment in problem.alignments:
+        # gtsam's error is in the frame of the second of its keys, as the information is.
+        graph.add(
+            gtsam.BetweenFactorPose3(
+                alignment.first,
+                alignment.second,
+                gtsam.Pose3(invert_transform(alignment.T_second_first)),
+                _robust(gtsam.noiseModel.Gaussian.Information(alignment.information), 6),
+            )
+        )
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(_TOLERANCE)
     parameters.setMaxIterations(iterations)
@@ -172,7 +188,7 @@ def observation_chi2(
 def _robust(noise: "gtsam.noiseModel.Base", degrees: int) -> "gtsam.noiseModel.Base":
     import gtsam
 
-    limit = CHI2_DEPTH if degrees == 3 else CHI2_PIXEL
+    limit = {2: CHI2_PIXEL, 3: CHI2_DEPTH, 6: CHI2_POSE}[degrees]
     return gtsam.noiseModel.Robust.Create(
         gtsam.noiseModel.mEstimator.Huber.Create(float(np.sqrt(limit))), noise
     )

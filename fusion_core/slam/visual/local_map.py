@@ -5,7 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import (
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
 from fusion_core.slam.visual.features import SCALE_FACTOR
 from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
 
@@ -43,7 +49,7 @@ class LocalMap:
     ``reference``: the keyframe that shares most landmarks with the last image, at
     ``T_map_reference``, (4, 4), with its ``features`` and the positions of the landmarks that they
     see, ``feature_positions_in_map_m``: (F, 3), NaN for none, rows ``feature_landmarks``: (F,).
-    ``views``: the landmarks of the local keyframes.
+    ``reduced_depth_m``: of the reference keyframe. ``views``: the landmarks of the local keyframes.
     """
 
     reference: int
@@ -52,6 +58,7 @@ class LocalMap:
     feature_landmarks: IntArray
     feature_positions_in_map_m: FloatArray
     views: LandmarkViews
+    reduced_depth_m: Float32Array | None = None
 
     def __post_init__(self) -> None:
         for array in (
@@ -120,4 +127,5 @@ def take_local_map(
         feature_landmarks=row,
         feature_positions_in_map_m=positions,
         views=landmark_views(visual_map, local),
+        reduced_depth_m=keyframe.reduced_depth_m,
     )

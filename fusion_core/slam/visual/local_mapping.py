@@ -12,6 +12,8 @@ from fusion_core.model.geometry import invert_transform
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, adjust_bundle
+from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings, align_depths
+from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
 from fusion_core.slam.visual.landmark_descriptors import update_descriptors
@@ -19,7 +21,7 @@ from fusion_core.slam.visual.local_map import landmark_views
 from fusion_core.slam.visual.observation_noise import CHI2_PIXEL, ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, Keyframe, VisualMap
+from fusion_core.slam.visual.visual_map import NO_LANDMARK, DepthAlignment, Keyframe, VisualMap
 
 # A landmark must be seen by a second keyframe while this many more are made (ORB-SLAM2: three).
 _TRIAL_KEYFRAMES = 3
@@ -69,8 +71,11 @@ class LocalMapping:
         settings: LocalMappingSettings,
         noise: ObservationNoise,
         levels: int,
+        alignment: DepthAlignmentSettings | None = None,
     ) -> None:
         self._settings, self._noise, self._levels = settings, noise, levels
+        self._alignment = alignment or DepthAlignmentSettings()
+        self._surfaces = SurfaceSampler(intrinsics)
         self._size = (intrinsics.width, intrinsics.height)
         self._camera = camera_parameters(intrinsics)
         # Of the keyframes on trial: the first of the landmarks that each made, and the last + 1.
@@ -80,6 +85,7 @@ class LocalMapping:
         """Work in a new keyframe that has made the landmarks ``made[0]`` to ``made[1]`` - 1."""
         self._cull_landmarks(visual_map, made)
         self._exchange_landmarks(visual_map, visual_map.keyframes[index])
+        self._align_depths(visual_map, visual_map.keyframes[index])
         local = self._local_keyframes(visual_map, index)
         self._adjust(visual_map, local)
         seen = visual_map.keyframes[index].landmarks
@@ -103,6 +109,34 @@ class LocalMapping:
         self._fuse(visual_map, keyframe, neighbours.tolist())
         for neighbour in neighbours.tolist():
             self._fuse(visual_map, visual_map.keyframes[neighbour], [keyframe.index])
+
+    def _align_depths(self, visual_map: VisualMap, keyframe: Keyframe) -> None:
+        """Align the new keyframe's depth image to those of its neighbours."""
+        if keyframe.reduced_depth_m is None:
+            return
+        beside, _ = visual_map.covisible(keyframe.index)
+        source = self._surfaces.surface(keyframe.reduced_depth_m)
+        for index in beside[: self._alignment.neighbours_max].tolist():
+            other = visual_map.keyframes[index]
+            if other.reduced_depth_m is None:
+                continue
+            found = align_depths(
+                source,
+                self._surfaces.surface(other.reduced_depth_m),
+                invert_transform(other.T_map_camera) @ keyframe.T_map_camera,
+                self._noise.depth_sigma_per_m2,
+                self._alignment.overlap_min,
+            )
+            if found is not None:
+                T_second_first, information = found
+                visual_map.alignments.append(
+                    DepthAlignment(
+                        first=keyframe.index,
+                        second=index,
+                        T_second_first=T_second_first,
+                        information=information,
+                    )
+                )
 
     def _fuse(self, visual_map: VisualMap, keyframe: Keyframe, others: list[int]) -> None:
         """Let a keyframe see the landmarks of others that project onto its features."""
@@ -183,6 +217,7 @@ class LocalMapping:
                 pixel_sigmas=self._noise.pixel_sigmas(seen.octaves[in_problem]),
                 camera=self._camera,
                 depth_sigma_per_m2=self._noise.depth_sigma_per_m2,
+                alignments=visual_map.alignments_between(order),
             ),
             self._settings.iterations,
         )

@@ -8,6 +8,8 @@ CHI2_PIXEL = 5.991
 """95 % of the squared, normalised error of u and v alone."""
 CHI2_DEPTH = 7.815
 """95 % of that of u, v and depth."""
+CHI2_POSE = 12.592
+"""95 % of that of a relative pose."""
 
 
 class ObservationNoise(StageSettings):

@@ -6,7 +6,7 @@ Numbers of keyframes and landmarks stay what they are: what is culled is marked,
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -62,6 +62,7 @@ class Keyframe:
     keyframe that saw most of its landmarks when it was made, None for the first of a map: the
     spanning tree of the essential graph. ``is_culled``: left out of all that follows; its pose then
     follows its parent's by ``T_parent_camera``, (4, 4), None for a keyframe that is kept.
+    ``reduced_depth_m``: (h, w) by ``SurfaceSampler``, None where it is not needed any more.
     """
 
     index: int
@@ -72,6 +73,7 @@ class Keyframe:
     parent: int | None = None
     is_culled: bool = False
     T_parent_camera: FloatArray | None = None
+    reduced_depth_m: Float32Array | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,6 +93,24 @@ class LoopClosure:
 
     def __post_init__(self) -> None:
         for array in (self.T_first_second, self.covariance, self.matches):
+            read_only(array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DepthAlignment:
+    """What their depth images say of two keyframes.
+
+    ``T_second_first``: (4, 4) of their optical frames. ``information``: (6, 6) of a small motion
+    from the left, rotation first.
+    """
+
+    first: int
+    second: int
+    T_second_first: FloatArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.T_second_first, self.information):
             read_only(array)
 
 
@@ -135,6 +155,7 @@ class VisualMap:
 
     keyframes: list[Keyframe] = field(default_factory=list)
     loops: list[LoopClosure] = field(default_factory=list)
+    alignments: list[DepthAlignment] = field(default_factory=list)
     # With room for more rows than are used: rows are appended often.
     _positions: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     _descriptors: ByteArray = field(default_factory=lambda: np.empty((0, 32), np.uint8))
@@ -169,6 +190,7 @@ class VisualMap:
         T_map_camera: FloatArray,
         landmarks: IntArray,
         parent: int | None = None,
+        reduced_depth_m: Float32Array | None = None,
     ) -> Keyframe:
         """A new keyframe whose features see ``landmarks``, (F,) with NO_LANDMARK for none.
 
@@ -181,6 +203,7 @@ class VisualMap:
             T_map_camera=np.array(T_map_camera, dtype=np.float64),
             landmarks=np.full(len(features), NO_LANDMARK, dtype=np.int64),
             parent=parent,
+            reduced_depth_m=reduced_depth_m,
         )
         self.keyframes.append(keyframe)
         seen = np.flatnonzero(landmarks != NO_LANDMARK)
@@ -302,6 +325,15 @@ class VisualMap:
             octaves=np.concatenate([k.features.octaves[rows] for k, rows in of]),
         )
 
+    def alignments_between(self, keyframes: IntArray) -> tuple[DepthAlignment, ...]:
+        """Those of (K,) keyframes, ascending, with each other; by their places among them."""
+        place = {index: k for k, index in enumerate(keyframes.tolist())}
+        return tuple(
+            replace(a, first=place[a.first], second=place[a.second])
+            for a in self.alignments
+            if a.first in place and a.second in place
+        )
+
     def merge_landmarks(self, kept: int, merged: int) -> None:
         """Let what sees ``merged`` see ``kept``; ``merged`` is culled.
 
@@ -338,6 +370,8 @@ class VisualMap:
         T_parent_map = invert_transform(self.keyframes[keyframe.parent].T_map_camera)
         keyframe.T_parent_camera = T_parent_map @ keyframe.T_map_camera
         keyframe.is_culled = True
+        keyframe.reduced_depth_m = None
+        self.alignments = [a for a in self.alignments if index not in (a.first, a.second)]
         for child in self.keyframes:
             if child.parent == index and not child.is_culled:
                 child.parent = keyframe.parent

@@ -28,6 +28,14 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamView, unobserved
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.color_zoom import ColorZoomSettings
+from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings
+from fusion_core.slam.visual.depth_consistency import (
+    DepthCheck,
+    DepthCheckSettings,
+    DoubtfulStretch,
+)
+from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
 from fusion_core.slam.visual.image_trajectory import (
     ImageTrajectory,
@@ -82,11 +90,14 @@ class VisualMappingSettings(StageSettings):
 class VisualSlamSettings(VisualLoopSettings):
     """Every stage's settings."""
 
+    color_zoom: ColorZoomSettings = ColorZoomSettings()
     features: FeatureSettings = FeatureSettings()
     observation_noise: ObservationNoise = ObservationNoise()
     tracking: TrackingSettings = TrackingSettings()
     keyframes: KeyframePolicy = KeyframePolicy()
     local_mapping: LocalMappingSettings = LocalMappingSettings()
+    depth_alignment: DepthAlignmentSettings = DepthAlignmentSettings()
+    depth_check: DepthCheckSettings = DepthCheckSettings()
     visual_mapping: VisualMappingSettings = VisualMappingSettings()
 
 
@@ -105,6 +116,7 @@ class VisualSlamResult:
     visual_map: VisualMap
     lost: tuple[LostStretch, ...]
     jumps: tuple[Jump, ...]
+    doubtful: tuple[DoubtfulStretch, ...]
     refused_loops: tuple[RefusedLoop, ...]
     seconds: dict[str, float]
     notes: tuple[str, ...] = ()
@@ -156,7 +168,11 @@ class _VisualSlam:
         noise, levels = settings.observation_noise, settings.features.levels
         self._extractor = FeatureExtractor(intrinsics, settings.features)
         self._tracker = Tracker(intrinsics, settings.tracking, noise, levels)
-        self._mapping = LocalMapping(intrinsics, settings.local_mapping, noise, levels)
+        self._mapping = LocalMapping(
+            intrinsics, settings.local_mapping, noise, levels, settings.depth_alignment
+        )
+        self._surfaces = SurfaceSampler(intrinsics)
+        self._depth_check = DepthCheck(intrinsics, settings.depth_check, noise.depth_sigma_per_m2)
         self._map = VisualMap()
         self._loops = LoopCloser(self._map, intrinsics, noise, settings)
         self._trajectory = ImageTrajectory()
@@ -222,6 +238,9 @@ class _VisualSlam:
     def _accept(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         assert self._local is not None, "tracked images have a local map"
         T_reference_map = invert_transform(self._local.T_map_reference)
+        self._depth_check.check(
+            len(self._trajectory.stamps_ns), frame.depth_m, tracked.T_map_camera, self._local
+        )
         before = self._last
         self._velocity = None
         if before is not None:
@@ -248,7 +267,12 @@ class _VisualSlam:
     def _add_keyframe(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         parent = None if self._local is None else self._local.reference
         keyframe = self._map.add_keyframe(
-            frame.stamp_ns, tracked.features, tracked.T_map_camera, tracked.landmarks, parent
+            frame.stamp_ns,
+            tracked.features,
+            tracked.T_map_camera,
+            tracked.landmarks,
+            parent,
+            self._surfaces.reduce(frame.depth_m),
         )
         made = new_landmarks(self._map, keyframe, tracked.positions_in_map_m)
         tracked.landmarks = keyframe.landmarks.copy()
@@ -386,6 +410,7 @@ class _VisualSlam:
             visual_map=self._map,
             lost=lost,
             jumps=find_jumps(stamps_ns, poses, is_tracked),
+            doubtful=self._depth_check.doubtful(stamps_ns),
             refused_loops=tuple(self._loops.refused),
             seconds=dict(self._seconds),
         )

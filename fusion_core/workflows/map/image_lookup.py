@@ -10,21 +10,30 @@ from fusion_core.model.sensors import CameraIntrinsics, ColorImage
 from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.map.rgbd_frames import COLOR_GAP_MAX_NS, RgbdFrames, reduce_image
+from fusion_core.workflows.map.visual.color_registration import magnify
 
 
 class ImageLookup:
     """Images of the first depth camera by their stamps, in the size and with the camera matrix
     that visual SLAM uses, their distortion taken off. Safe for threads.
 
-    ``clock_offset_ns``: as ``RgbdFrames``. Raises as ``RgbdFrames``.
+    ``clock_offset_ns``: as ``RgbdFrames``. ``color_zoom``: the run's, of its report. Raises as
+    ``RgbdFrames``.
     """
 
-    def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        *,
+        clock_offset_ns: int = 0,
+        color_zoom: float = 1.0,
+    ) -> None:
         intrinsics = RgbdFrames(recording, streams).intrinsics
         color = streams.color[0]
         assert color is not None, "RgbdFrames needs it"
         self._recording, self._color = recording, color
-        self._clock_offset_ns = clock_offset_ns
+        self._clock_offset_ns, self._color_zoom = clock_offset_ns, color_zoom
         self.intrinsics = intrinsics
         stamps_ns = recording.stamps_ns(color)
         self._index = np.flatnonzero(stamps_ns != NO_STAMP)
@@ -47,7 +56,8 @@ class ImageLookup:
                 advice="The run may be of another recording, or of another clock offset.",
             )
         camera = self.intrinsics
-        return _undistorted(reduce_image(value.rgb, (camera.height, camera.width)), camera)
+        image = reduce_image(value.rgb, (camera.height, camera.width))
+        return _undistorted(magnify(image, self._color_zoom, camera), camera)
 
 
 def _undistorted(rgb: ByteArray, camera: CameraIntrinsics) -> ByteArray:

@@ -126,7 +126,10 @@ def read_visual_results(folder: Path) -> VisualResults:
 
 def read_visual_map(folder: Path, visual: VisualResults) -> MapResults:
     """The same run as ``read_map_results`` has others: the trajectory in body axes (x where the
-    camera looks), untrusted where it was lost, and the map of the camera. Raises ExportError."""
+    camera looks), untrusted where it was lost or doubtful, and the map of the camera.
+
+    Raises ExportError.
+    """
     try:
         require_intact(folder, ("report.json",), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
@@ -135,7 +138,7 @@ def read_visual_map(folder: Path, visual: VisualResults) -> MapResults:
         trajectory = visual.trajectory
         T_map_body = trajectory.T_map_body @ invert_transform(T_BODY_CAMERA)
         trusted = np.ones(trajectory.stamps_ns.size, dtype=np.bool_)
-        for stretch in report.get("lost", []):
+        for stretch in [*report.get("lost", []), *report.get("doubtful", [])]:
             from_ns, to_ns = (round(stretch[name] * NS_PER_S) for name in ("from_s", "to_s"))
             # Stamps in seconds are rounded.
             late = trajectory.stamps_ns >= from_ns - NS_PER_MS

@@ -1,5 +1,7 @@
 """Local bundle adjustment against scipy's least squares, and against gtsam."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ from scipy.optimize import least_squares
 
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, adjust_bundle
+from fusion_core.slam.visual.global_adjustment import adjust_sparse
 from fusion_core.slam.visual.pose_optimisation import exp_se3
+from fusion_core.slam.visual.visual_map import DepthAlignment
 
 CAMERA = np.array([525.0, 525.0, 319.5, 239.5])
 DEPTH_SIGMA = 0.003
@@ -130,6 +134,47 @@ def test_landmarks_of_a_fixed_keyframe_are_where_their_depth_is():
     np.testing.assert_allclose(
         transform_points(found.T_camera_map[1], found.points_in_map_m), expected, atol=1e-5
     )
+
+
+def aligned(truth, given, information):
+    """With depth alignments that are off, of the first keyframe (fixed) and of others."""
+    rng = np.random.default_rng(11)
+    return replace(
+        given,
+        alignments=tuple(
+            DepthAlignment(
+                first=first,
+                second=second,
+                T_second_first=exp_se3(rng.normal(0.0, 0.003, 6))
+                @ truth[second]
+                @ invert_transform(truth[first]),
+                information=information,
+            )
+            for first, second in ((1, 0), (2, 1), (1, 3))
+        ),
+    )
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_alignments_weigh_as_gtsams_between_factors(seed):
+    rng = np.random.default_rng(seed)
+    truth, _, given = problem(rng)
+    root = rng.normal(size=(6, 6))
+    given = aligned(truth, given, 1e5 * (root @ root.T + np.eye(6)))
+    ours, theirs = adjust_bundle(given, 60, rounds=1), adjust_sparse(given, 60)
+    assert ours.cost == pytest.approx(theirs.cost, rel=2e-3)
+    np.testing.assert_allclose(ours.T_camera_map, theirs.T_camera_map, atol=2e-4)
+    without = adjust_bundle(replace(given, alignments=()), 60, rounds=1)
+    assert np.abs(without.T_camera_map - ours.T_camera_map).max() > 1e-3
+
+
+def test_a_certain_alignment_is_kept_to():
+    truth, _, given = problem(np.random.default_rng(3))
+    given = aligned(truth, given, 1e12 * np.eye(6))
+    found = adjust_bundle(given, 60).T_camera_map
+    for a in given.alignments:
+        said = found[a.second] @ invert_transform(found[a.first])
+        np.testing.assert_allclose(said, a.T_second_first, atol=1e-5)
 
 
 def test_nothing_fixed_is_refused():

@@ -15,6 +15,7 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.map import image_lookup
 from fusion_core.workflows.map.image_lookup import ImageLookup
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+from fusion_core.workflows.map.visual.color_registration import RegisteredFrames
 
 LENS = CameraIntrinsics(width=160, height=120, fx=120.0, fy=118.0, cx=80.5, cy=58.0)
 
@@ -24,8 +25,9 @@ def test_an_image_is_the_one_that_was_tracked(data_folder: Path) -> None:
     with open_recording(data_folder / "real" / "rgbd" / "seven_scenes") as recording:
         streams = choose_streams(recording, lidar=None, depth=None)
         offset_ns = 500 * NS_PER_MS
-        images = ImageLookup(recording, streams, clock_offset_ns=offset_ns)
-        frames = RgbdFrames(recording, streams, clock_offset_ns=offset_ns)
+        images = ImageLookup(recording, streams, clock_offset_ns=offset_ns, color_zoom=1.1)
+        recorded = RgbdFrames(recording, streams, clock_offset_ns=offset_ns)
+        frames = RegisteredFrames(frames=recorded, intrinsics=recorded.intrinsics, zoom=1.1)
         for number, frame in enumerate(frames):
             if number in (0, 7):
                 np.testing.assert_array_equal(images.at(frame.stamp_ns), frame.rgb)

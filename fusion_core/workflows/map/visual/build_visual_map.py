@@ -21,6 +21,7 @@ from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
 from fusion_core.workflows.map.settings import MapSettings
+from fusion_core.workflows.map.visual.color_registration import register_colors
 from fusion_core.workflows.map.visual.keyframe_views import KeyframeViews
 from fusion_core.workflows.map.visual.map_frame import level_map_frame
 from fusion_core.workflows.map.visual.report import build_visual_report
@@ -46,7 +47,7 @@ def map_visually(
     """
     streams = choose_streams(recording, lidar=options.lidar_topic)
     _require_lidar_options(recording, streams, options)
-    frames = RgbdFrames(
+    recorded = RgbdFrames(
         recording,
         streams,
         clock_offset_ns=round(options.clock_offset_ms * NS_PER_MS),
@@ -59,13 +60,19 @@ def map_visually(
         )
     T_lidar_camera, mount_notes = first_camera_extrinsics(recording, streams, extrinsics)
 
+    # Colour that shows what depth does.
+    start_s = time.perf_counter()
+    progress(0, None, "comparing colour with depth")
+    frames = register_colors(recorded, recorded.intrinsics, settings)
+    registration_s = time.perf_counter() - start_s
+
     # The path of the camera, with its keyframes and landmarks.
     one_thread = options.workers == 1
     with nullcontext() if one_thread else ThreadPoolExecutor(1) as executor:
         result = visual_slam(
             frames, frames.intrinsics, settings, progress, observer, executor=executor
         )
-    seconds = dict(result.seconds)
+    seconds = {"color": registration_s, **result.seconds}
 
     # Level, with the floor at z = 0.
     start_s = time.perf_counter()
@@ -103,6 +110,7 @@ def map_visually(
     seconds["maps"] = time.perf_counter() - start_s
     notes = [
         *streams.notes,
+        *recorded.notes,
         *frames.notes,
         *mount_notes,
         *_lidar_note(streams, T_lidar_camera is not None),
@@ -111,7 +119,10 @@ def map_visually(
         *result.notes,
         *recording.warnings,
     ]
-    report = build_visual_report(result, options.choices, notes) | {"volumes": volumes}
+    report = build_visual_report(result, options.choices, notes) | {
+        "color_zoom": frames.zoom,
+        "volumes": volumes,
+    }
     write_text(folder / REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report, seconds
 

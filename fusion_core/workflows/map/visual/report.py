@@ -10,7 +10,7 @@ from fusion_core.slam.visual.image_trajectory import JUMP_M
 from fusion_core.slam.visual.visual_slam import VisualSlamResult
 from fusion_core.workflows.map.report import MapSummary
 
-# Of more lost stretches or jumps than fit on a screen only the first are printed.
+# Of more lost or doubtful stretches or jumps than fit on a screen only the first are printed.
 _PRINTED = 8
 
 
@@ -31,12 +31,17 @@ class VisualMapSummary(MapSummary):
                 f"lost       {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
                 f"{stretch['images']} images, {stretch['reason']}"
             )
+        for stretch in report["doubtful"][:_PRINTED]:
+            lines.append(
+                f"doubtful   {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
+                f"{stretch['reason']}"
+            )
         for jump in report["jumps"][:_PRINTED]:
             lines.append(
                 f"jump       {jump['step_m']:.2f} m from {jump['from_s']:.3f} s to "
                 f"{jump['to_s']:.3f} s"
             )
-        for name in ("lost", "jumps"):
+        for name in ("lost", "doubtful", "jumps"):
             if len(report[name]) > _PRINTED:
                 lines.append(f"{name:10} {len(report[name]) - _PRINTED} more in report.json")
         lines += [f"time       {name} {value:.1f} s" for name, value in self.seconds.items()]
@@ -90,6 +95,15 @@ def build_visual_report(
                 "reason": stretch.reason,
             }
             for stretch in result.lost
+        ],
+        "doubtful": [
+            {
+                "from_s": _seconds(stretch.first_stamp_ns),
+                "to_s": _seconds(stretch.last_stamp_ns),
+                "contradicted_share": stretch.contradicted_share,
+                "reason": stretch.reason,
+            }
+            for stretch in result.doubtful
         ],
         "jump_m": JUMP_M,
         "jumps": [

@@ -1,0 +1,172 @@
+"""Whether depth images agree with the motion that features say.
+
+Features may follow something that moves with them in the image. The rest of the image then shows
+surfaces where the image before saw through: that cannot be occlusion, only a wrong motion, or
+something that has moved in between.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.compiled import compiled
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.geometry import invert_transform
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler
+from fusion_core.slam.visual.local_map import LocalMap
+
+# A block contradicts where it lies so many standard deviations before the other surface.
+_GATE = 5.0
+
+
+class DepthCheckSettings(StageSettings):
+    """Settings of ``DepthCheck``."""
+
+    check_images: int = setting(
+        5, "Images from one comparison of depth with the motion to the next", ge=1, le=1000
+    )
+    contradicted_max: float = setting(
+        0.1,
+        "Part of a depth image in contradiction to the motion, above which a pose is doubtful",
+        ge=0.0,
+        le=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoubtfulStretch:
+    """Images whose poses are doubtful: up to ``contradicted_share`` of the depth image contradicts
+    the motion."""
+
+    first_stamp_ns: int
+    last_stamp_ns: int
+    contradicted_share: float
+
+    @property
+    def reason(self) -> str:
+        """For people."""
+        return (
+            f"up to {100.0 * self.contradicted_share:.0f} % of the depth image contradicts the "
+            "motion: features may follow something that moves, or colour and depth differ in time"
+        )
+
+
+class DepthCheck:
+    """Compares images with the reference keyframe of their local map."""
+
+    def __init__(
+        self,
+        intrinsics: CameraIntrinsics,
+        settings: DepthCheckSettings,
+        depth_sigma_per_m2: float,
+    ) -> None:
+        self._settings, self._sigma = settings, depth_sigma_per_m2
+        self._sampler = SurfaceSampler(intrinsics)
+        self._reference: tuple[int, DepthSurface] | None = None
+        # By the image's number.
+        self._shares: dict[int, float] = {}
+
+    def check(
+        self, image: int, depth_m: Float32Array, T_map_camera: FloatArray, local: LocalMap
+    ) -> None:
+        """Compare an image, if its turn has come."""
+        if image % self._settings.check_images or local.reduced_depth_m is None:
+            return
+        if self._reference is None or self._reference[0] != local.reference:
+            self._reference = local.reference, self._sampler.surface(local.reduced_depth_m)
+        self._shares[image] = contradicted_share(
+            self._sampler.surface(self._sampler.reduce(depth_m)),
+            self._reference[1],
+            invert_transform(local.T_map_reference) @ T_map_camera,
+            self._sigma,
+        )
+
+    def doubtful(self, stamps_ns: IntArray) -> tuple[DoubtfulStretch, ...]:
+        """What was found, neighbouring comparisons joined; each speaks for the images since the
+        one before."""
+        step = self._settings.check_images
+        stretches: list[DoubtfulStretch] = []
+        last = -step
+        for image, share in sorted(self._shares.items()):
+            if share <= self._settings.contradicted_max:
+                continue
+            first_ns = int(stamps_ns[max(image - step + 1, 0)])
+            if stretches and image - last == step:
+                before = stretches.pop()
+                first_ns, share = before.first_stamp_ns, max(share, before.contradicted_share)
+            stretches.append(
+                DoubtfulStretch(
+                    first_stamp_ns=first_ns,
+                    last_stamp_ns=int(stamps_ns[image]),
+                    contradicted_share=share,
+                )
+            )
+            last = image
+        return tuple(stretches)
+
+
+def contradicted_share(
+    first: DepthSurface, second: DepthSurface, T_second_first: FloatArray, depth_sigma_per_m2: float
+) -> float:
+    """Part of the blocks in sight of both images that lie before what the other saw, in either."""
+    one = _counts(first.points_m, second, T_second_first, depth_sigma_per_m2)
+    other = _counts(second.points_m, first, invert_transform(T_second_first), depth_sigma_per_m2)
+    return sum(before / max(shared, 1) for shared, before in (one, other))
+
+
+def _counts(
+    points_m: FloatArray, target: DepthSurface, T_target_source: FloatArray, sigma_per_m2: float
+) -> tuple[int, int]:
+    """How many blocks both show, and how many of these lie before the target's surface."""
+    shared, before = _count_before(
+        points_m.reshape(-1, 3),
+        target.points_m,
+        target.normals,
+        target.camera,
+        np.ascontiguousarray(T_target_source),
+        sigma_per_m2,
+        _GATE,
+    )
+    return int(shared), int(before)
+
+
+@compiled(nogil=True)
+def _count_before(
+    points: FloatArray,
+    target_points: FloatArray,
+    target_normals: FloatArray,
+    camera: FloatArray,
+    T: FloatArray,
+    sigma_per_m2: float,
+    gate: float,
+) -> tuple[int, int]:
+    height, width = target_points.shape[0], target_points.shape[1]
+    p = np.zeros(3)
+    shared, before = 0, 0
+    for k in range(len(points)):
+        if np.isnan(points[k, 2]):
+            continue
+        for i in range(3):
+            p[i] = T[i, 3]
+            for j in range(3):
+                p[i] += T[i, j] * points[k, j]
+        if p[2] < 0.01:
+            continue
+        column = int(np.rint(camera[0] * p[0] / p[2] + camera[2]))
+        row = int(np.rint(camera[1] * p[1] / p[2] + camera[3]))
+        if row < 0 or column < 0 or row >= height or column >= width:
+            continue
+        n, q = target_normals[row, column], target_points[row, column]
+        if np.isnan(n[0]):
+            continue
+        shared += 1
+        off, slope = 0.0, 0.0
+        for i in range(3):
+            off += n[i] * (p[i] - q[i])
+            slope += n[i] * q[i]
+        # As ``align_depths``: a depth errs along its ray.
+        sigma = sigma_per_m2 * abs(slope / q[2]) * np.sqrt(points[k, 2] ** 4 + q[2] ** 4)
+        before += p[2] < q[2] and abs(off) > gate * sigma
+    return shared, before

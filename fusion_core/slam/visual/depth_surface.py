@@ -1,0 +1,160 @@
+"""The surface that a depth image shows, in blocks of pixels: what dense alignment works on."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fusion_core.compiled import compiled
+from fusion_core.model.conventions import Float32Array, FloatArray, read_only
+from fusion_core.model.sensors import CameraIntrinsics
+
+# Blocks across an image: of 4 pixels of a VGA image, about the window in which a structured-light
+# camera correlates its pattern, so that neighbouring blocks err on their own.
+_BLOCKS_ACROSS = 160
+# Part of a block that must have a depth.
+_COVERED_MIN = 0.5
+# A block whose depths differ by more than this part shows two surfaces.
+_EDGE_RATIO = 0.05
+# Blocks to either side over which a normal is taken: the noise of one block's depth would turn it.
+_NORMAL_BLOCKS = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DepthSurface:
+    """``points_m``, ``normals``: (h, w, 3) in the optical frame, NaN where there is no surface.
+    ``camera``: (4,) fx, fy, cx, cy of the blocks."""
+
+    points_m: FloatArray
+    normals: FloatArray
+    camera: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.points_m, self.normals, self.camera):
+            read_only(array)
+
+
+class SurfaceSampler:
+    """Reduces a camera's depth images to blocks, and makes surfaces of them.
+
+    ``intrinsics``: of the grey images; depth images show the same in their own size.
+    """
+
+    def __init__(self, intrinsics: CameraIntrinsics) -> None:
+        self._intrinsics = intrinsics
+        # By the shape of depth images: the stored pixel under each pixel without distortion.
+        self._sources: dict[tuple[int, int], tuple[Float32Array, Float32Array]] = {}
+
+    def reduce(self, depth_m: Float32Array) -> Float32Array:
+        """(h, w) mean depth of each block; NaN where it is mostly missing or shows an edge."""
+        if any(self._intrinsics.distortion):
+            depth_m = self._without_distortion(depth_m)
+        side = max(1, round(depth_m.shape[1] / _BLOCKS_ACROSS))
+        means: Float32Array = _block_means(depth_m, side, _COVERED_MIN, _EDGE_RATIO)
+        return means
+
+    def surface(self, reduced_m: Float32Array) -> DepthSurface:
+        """Of depths by ``reduce``."""
+        height, width = reduced_m.shape
+        camera = self._camera_of(width, height)
+        v, u = np.mgrid[:height, :width].astype(np.float64)
+        z = reduced_m.astype(np.float64)
+        points_m = np.stack(
+            [(u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z, z], axis=-1
+        )
+        return DepthSurface(
+            points_m=points_m,
+            normals=_block_normals(points_m, _NORMAL_BLOCKS, _EDGE_RATIO),
+            camera=camera,
+        )
+
+    def _camera_of(self, width: int, height: int) -> FloatArray:
+        """(4,) of images of this size; pixel centres are integers."""
+        given = self._intrinsics
+        across, down = width / given.width, height / given.height
+        return np.array(
+            [
+                across * given.fx,
+                down * given.fy,
+                across * (given.cx + 0.5) - 0.5,
+                down * (given.cy + 0.5) - 0.5,
+            ]
+        )
+
+    def _without_distortion(self, depth_m: Float32Array) -> Float32Array:
+        height, width = depth_m.shape
+        if (height, width) not in self._sources:
+            fx, fy, cx, cy = self._camera_of(width, height)
+            K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            coefficients = np.array(self._intrinsics.distortion)
+            if self._intrinsics.is_fisheye:
+                maps = cv2.fisheye.initUndistortRectifyMap(
+                    K, coefficients[:4], np.eye(3), K, (width, height), cv2.CV_32FC1
+                )
+            else:
+                maps = cv2.initUndistortRectifyMap(
+                    K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1
+                )
+            self._sources[height, width] = (
+                np.asarray(maps[0], np.float32),
+                np.asarray(maps[1], np.float32),
+            )
+        # A depth between two surfaces would be neither: the nearest pixel.
+        straight = cv2.remap(
+            depth_m,
+            *self._sources[height, width],
+            cv2.INTER_NEAREST,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float("nan"),
+        )
+        return np.asarray(straight, np.float32)
+
+
+@compiled(nogil=True)
+def _block_means(
+    depth_m: Float32Array, side: int, covered_min: float, edge_ratio: float
+) -> Float32Array:
+    height, width = depth_m.shape[0] // side, depth_m.shape[1] // side
+    means = np.full((height, width), np.nan, np.float32)
+    for row in range(height):
+        for column in range(width):
+            total, count, low, high = 0.0, 0, np.inf, 0.0
+            for v in range(row * side, (row + 1) * side):
+                for u in range(column * side, (column + 1) * side):
+                    z = depth_m[v, u]
+                    if z > 0.0:
+                        total += z
+                        count += 1
+                        low, high = min(low, z), max(high, z)
+            if count >= covered_min * side * side and high - low <= edge_ratio * low:
+                means[row, column] = total / count
+    return means
+
+
+@compiled(nogil=True)
+def _block_normals(points: FloatArray, reach: int, edge_ratio: float) -> FloatArray:
+    height, width = points.shape[0], points.shape[1]
+    normals = np.full((height, width, 3), np.nan)
+    a, b, n = np.empty(3), np.empty(3), np.empty(3)
+    for row in range(reach, height - reach):
+        for column in range(reach, width - reach):
+            z = points[row, column, 2]
+            left, right = points[row, column - reach], points[row, column + reach]
+            up, down = points[row - reach, column], points[row + reach, column]
+            # NaN compares false.
+            if not (
+                abs(left[2] - z) <= edge_ratio * z
+                and abs(right[2] - z) <= edge_ratio * z
+                and abs(up[2] - z) <= edge_ratio * z
+                and abs(down[2] - z) <= edge_ratio * z
+            ):
+                continue
+            for i in range(3):
+                a[i], b[i] = right[i] - left[i], down[i] - up[i]
+            n[0] = a[1] * b[2] - a[2] * b[1]
+            n[1] = a[2] * b[0] - a[0] * b[2]
+            n[2] = a[0] * b[1] - a[1] * b[0]
+            norm = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+            for i in range(3):
+                normals[row, column, i] = n[i] / norm
+    return normals

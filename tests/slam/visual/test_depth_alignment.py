@@ -1,0 +1,122 @@
+"""Dense depth: surfaces of blocks, their alignment, and what contradicts a motion."""
+
+import cv2
+import numpy as np
+import pytest
+
+from fusion_core.model.geometry import invert_transform
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual.depth_alignment import align_depths
+from fusion_core.slam.visual.depth_consistency import (
+    DepthCheck,
+    DepthCheckSettings,
+    contradicted_share,
+)
+from fusion_core.slam.visual.depth_surface import SurfaceSampler
+from fusion_core.slam.visual.pose_optimisation import exp_se3
+
+CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=288.0, cx=158.0, cy=121.0)
+SIGMA = 0.003
+# Planes n x = d of the world, whose axes are those of the camera at the identity.
+ROOM = (((0.1, 0.0, 1.0), 2.5), ((0.0, 1.0, 0.1), 0.9), ((1.0, 0.0, 0.2), 1.3))
+WALL = (((0.0, 0.0, 1.0), 2.0),)
+MOTION = exp_se3(np.array([0.03, -0.05, 0.02, 0.06, 0.02, -0.04]))
+
+
+def depth_of(planes, T_camera_world, seed=0, sigma=0.002):
+    """(H, W) float32 of the nearest plane ahead of each pixel, with noise and holes."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
+    depth_m = np.full(u.shape, np.inf)
+    for normal, distance in planes:
+        n = T_camera_world[:3, :3] @ np.array(normal)
+        with np.errstate(divide="ignore"):
+            z = (distance + n @ T_camera_world[:3, 3]) / (rays @ n)
+        depth_m = np.where((z > 0.1) & (z < depth_m), z, depth_m)
+    random = np.random.default_rng(seed)
+    depth_m = np.where(np.isfinite(depth_m), depth_m, np.nan)
+    depth_m += random.normal(0.0, sigma, u.shape) * depth_m**2
+    depth_m[random.uniform(size=u.shape) < 0.1] = np.nan
+    return depth_m.astype(np.float32)
+
+
+def surface_of(planes, T_camera_world, seed=0):
+    sampler = SurfaceSampler(CAMERA)
+    return sampler.surface(sampler.reduce(depth_of(planes, T_camera_world, seed)))
+
+
+def small_motion(T):
+    """(6,) of a motion near the identity."""
+    return np.concatenate([cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]])
+
+
+def test_a_surface_lies_on_its_planes():
+    surface = surface_of(WALL, np.eye(4))
+    known = np.isfinite(surface.normals[..., 0])
+    assert known.mean() > 0.9
+    assert surface.points_m[known][:, 2] == pytest.approx(2.0, abs=0.03)
+    assert np.abs(surface.normals[known][:, 2]).mean() > 0.95
+
+
+def test_the_lens_is_taken_off():
+    """A wall seen by a lens with distortion is as flat, and as wide, as without."""
+    intrinsics = CameraIntrinsics(
+        width=320, height=240, fx=290.0, fy=288.0, cx=158.0, cy=121.0,
+        distortion=(-0.2, 0.05, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+    v, u = np.mgrid[:240, :320].astype(float)
+    seen = np.column_stack([u.ravel(), v.ravel()])[:, np.newaxis]
+    rays = cv2.undistortPoints(seen, intrinsics.matrix, np.array(intrinsics.distortion))
+    x = rays[:, 0, 0].reshape(240, 320)
+    # The plane x + 2 z = 4.
+    sampler = SurfaceSampler(intrinsics)
+    surface = sampler.surface(sampler.reduce((4.0 / (x + 2.0)).astype(np.float32)))
+    points = surface.points_m[np.isfinite(surface.points_m[..., 2])]
+    assert np.abs(points[:, 0] + 2.0 * points[:, 2] - 4.0).max() < 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_motion_between_two_images_is_found(seed):
+    found = align_depths(
+        surface_of(ROOM, np.eye(4), 2 * seed),
+        surface_of(ROOM, MOTION, 2 * seed + 1),
+        np.eye(4),
+        SIGMA,
+        0.25,
+    )
+    assert found is not None
+    off = small_motion(found[0] @ invert_transform(MOTION))
+    assert np.abs(off[:3]).max() < 2e-3
+    assert np.abs(off[3:]).max() < 4e-3
+    assert np.linalg.eigvalsh(found[1]).min() > 1.0
+
+
+def test_a_wall_says_nothing_of_what_slides_along_it():
+    T = exp_se3(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.05]))
+    found = align_depths(surface_of(WALL, np.eye(4)), surface_of(WALL, T, 1), np.eye(4), SIGMA, 0.2)
+    assert found is not None
+    x, y, z = found[1][3, 3], found[1][4, 4], found[1][5, 5]
+    assert max(x, y) < 0.02 * z
+    assert found[0][2, 3] == pytest.approx(-0.05, abs=2e-3)
+
+
+def test_images_that_share_too_little_are_not_aligned():
+    away = exp_se3(np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    first, second = surface_of(ROOM, np.eye(4)), surface_of(ROOM, away)
+    assert align_depths(first, second, away, SIGMA, 0.25) is None
+
+
+def test_what_moves_contradicts_the_motion():
+    first, second = surface_of(ROOM, np.eye(4)), surface_of(ROOM, MOTION, 1)
+    assert contradicted_share(first, second, MOTION, SIGMA) < 0.01
+    wrong = exp_se3(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.3]))
+    assert contradicted_share(first, second, wrong @ MOTION, SIGMA) > 0.3
+
+
+def test_neighbouring_doubts_are_one_stretch():
+    check = DepthCheck(CAMERA, DepthCheckSettings(check_images=5), SIGMA)
+    check._shares.update({0: 0.0, 5: 0.2, 10: 0.3, 15: 0.0, 20: 0.15})
+    found = check.doubtful(np.arange(30, dtype=np.int64))
+    assert [(s.first_stamp_ns, s.last_stamp_ns) for s in found] == [(1, 10), (16, 20)]
+    assert found[0].contradicted_share == 0.3
+    assert "30 %" in found[0].reason
