@@ -150,7 +150,15 @@ def _map_into(
 
     # SLAM: a pose in the map for each scan.
     assert options.slam != "visual", "visual SLAM places images"
-    placed = place_scans(inputs.scans, prior, options.slam, settings, progress, observer)
+    placed = place_scans(
+        inputs.scans,
+        prior,
+        options.slam,
+        settings,
+        progress,
+        observer,
+        () if inputs.motion is None else inputs.motion.independent,
+    )
     seconds.update(placed.seconds)
 
     # Occupancy grids from the placed scans.

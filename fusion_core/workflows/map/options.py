@@ -85,7 +85,7 @@ class MapOptions:
     @property
     def needs_extrinsics(self) -> bool:
         """Whether the cameras' extrinsics are used."""
-        uses_images = self.draws_camera or self.motion in ("visual", "fused")
+        uses_images = self.draws_camera or self.motion in ("visual", "visual-slam", "fused")
         return uses_images or self.scan == "repaired"
 
     def identity(self) -> str:
