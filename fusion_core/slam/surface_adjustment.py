@@ -29,6 +29,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 from fusion_core.model.planar_poses import relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.resample import resample_odometry
 from fusion_core.settings import setting
 from fusion_core.slam.surface_elements import (
     SurfaceElementSettings,
@@ -41,6 +42,8 @@ from fusion_core.slam.surface_elements import (
 _HUBER, _CUTOFF = 2.0, 5.0
 # Of chi-square with three degrees of freedom: its median, and its 0.999 quantile.
 _CHI2_MEDIAN, _CHI2_MAX = 2.366, 16.27
+# How much more than the normals' errors their directions must say; set by hand.
+_OBSERVABLE_FACTOR = 10.0
 # The first keyframe stays; an offset that nothing determines does, too. Numerics.
 _ANCHOR_SIGMA, _FREE_SIGMA = 1e-6, 1e2
 
@@ -163,15 +166,14 @@ def _graph_steps(poses: FloatArray, sigmas: tuple[float, float]) -> _Steps:
 
 def _odometry_steps(track: OdometryTrajectory, stamps_ns: IntArray) -> _Steps:
     """The steps between keyframes that it has measured."""
-    from fusion_core.motion.resample import resample_odometry
-
     at_nodes = resample_odometry(track, stamps_ns)
     first = np.flatnonzero(at_nodes.measured)
+    information: FloatArray = np.linalg.inv(at_nodes.step_covariance[first])
     return _Steps(
         first=first,
         second=first + 1,
         measured=at_nodes.steps[first],
-        information=np.linalg.inv(at_nodes.step_covariance[first]),
+        information=information,
         scale_sigma=track.scale_sigma,
     )
 
@@ -221,13 +223,14 @@ class _System:
         weights[sizes > _CUTOFF] = 0.0
         self._sides = 2 * len(elements)
         nodes, arms_m = node_of[found.returns], turned_m[found.returns]
-        by_yaw = found.normals[:, 1] * arms_m[:, 0] - found.normals[:, 0] * arms_m[:, 1]
+        normals = _observable_normals(
+            found.normals, found.normal_variances, weights, nodes, len(poses)
+        )
+        by_yaw = normals[:, 1] * arms_m[:, 0] - normals[:, 0] * arms_m[:, 1]
         rows = np.arange(len(found))
         jacobian = csr_array(
             (
-                np.concatenate(
-                    [found.normals[:, 0], found.normals[:, 1], by_yaw, -np.ones(rows.size)]
-                ),
+                np.concatenate([normals[:, 0], normals[:, 1], by_yaw, -np.ones(rows.size)]),
                 (
                     np.tile(rows, 4),
                     np.concatenate(
@@ -294,7 +297,36 @@ class _System:
         change = factors.solve(-slope)
         moved = poses + change[: poses.size].reshape(-1, 3)
         moved[:, 2] = wrap_angle(moved[:, 2])
+        # Anchored, but for rounding.
+        moved[0] = poses[0]
         return moved, change[inner:].tolist()
+
+
+def _observable_normals(
+    normals: FloatArray,
+    variances: FloatArray,
+    weights: FloatArray,
+    nodes: IntArray,
+    count: int,
+) -> FloatArray:
+    """(N, 2) the normals without the direction of which a keyframe's returns say nothing.
+
+    Along a corridor the normals' own errors look like a measurement: a direction is observable
+    where the normals say much more of it than their variances (N,) do.
+    """
+    information = np.zeros((count, 2, 2))
+    for row in range(2):
+        for column in range(2):
+            information[:, row, column] = np.bincount(
+                nodes, weights * normals[:, row] * normals[:, column], count
+            )
+    by_error = np.bincount(nodes, weights * variances, count)
+    values, axes = np.linalg.eigh(information)
+    is_open = values[:, 0] < _OBSERVABLE_FACTOR * by_error
+    open_axes = np.where(is_open[:, np.newaxis], axes[:, :, 0], 0.0)[nodes]
+    along = np.einsum("nx,nx->n", normals, open_axes)
+    observable: FloatArray = normals - along[:, np.newaxis] * open_axes
+    return observable
 
 
 def _step_jacobian(of: _Steps, poses: FloatArray) -> FloatArray:

@@ -40,14 +40,16 @@ class SurfaceElementSettings(StageSettings):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SurfaceElements:
-    """``centres_m``: (E, 2) in the map. ``normals``: (E, 2) of length 1."""
+    """``centres_m``: (E, 2) in the map. ``normals``: (E, 2) of length 1, with ``normal_variances``:
+    (E,) in rad²."""
 
     centres_m: FloatArray
     normals: FloatArray
+    normal_variances: FloatArray
 
     def __post_init__(self) -> None:
-        read_only(self.centres_m)
-        read_only(self.normals)
+        for array in (self.centres_m, self.normals, self.normal_variances):
+            read_only(array)
 
     def __len__(self) -> int:
         return len(self.centres_m)
@@ -58,7 +60,8 @@ class AssociatedReturns:
     """N of the returns, each with the side of an element that it met.
 
     ``returns``: (N,) their numbers. ``sides``: (N,) twice the element's number, and one more where
-    it was seen against its normal. ``normals``: (N, 2). ``residuals_m``: (N,) how far each lies
+    it was seen against its normal. ``normals``: (N, 2), with ``normal_variances``: (N,) in rad².
+    ``residuals_m``: (N,) how far each lies
     off the mean of its side, along the normal. ``sigmas_m``: (N,) the deviation of a return at its
     range, from these residuals.
     """
@@ -66,11 +69,19 @@ class AssociatedReturns:
     returns: IntArray
     sides: IntArray
     normals: FloatArray
+    normal_variances: FloatArray
     residuals_m: FloatArray
     sigmas_m: FloatArray
 
     def __post_init__(self) -> None:
-        for array in (self.returns, self.sides, self.normals, self.residuals_m, self.sigmas_m):
+        for array in (
+            self.returns,
+            self.sides,
+            self.normals,
+            self.normal_variances,
+            self.residuals_m,
+            self.sigmas_m,
+        ):
             read_only(array)
 
     def __len__(self) -> int:
@@ -93,7 +104,7 @@ def find_surface_elements(
     seeds = seeds[counts[seeds] >= settings.returns_min]
     is_covered = np.zeros(len(counts), np.bool_)
     points, cells_about = cKDTree(points_in_map_m), cKDTree(means_m)
-    centres, normals = [], []
+    centres, normals, normal_variances = [], [], []
     for seed in seeds.tolist():
         if is_covered[seed]:
             continue
@@ -110,8 +121,12 @@ def find_surface_elements(
         if variances[0] <= settings.flatness_max * variances[1]:
             centres.append(centre_m)
             normals.append(normal)
+            # Of the slope of a line through as many returns.
+            normal_variances.append(variances[0] / (variances[1] * len(near_m)))
     return SurfaceElements(
-        centres_m=np.array(centres).reshape(-1, 2), normals=np.array(normals).reshape(-1, 2)
+        centres_m=np.array(centres).reshape(-1, 2),
+        normals=np.array(normals).reshape(-1, 2),
+        normal_variances=np.array(normal_variances),
     )
 
 
@@ -149,7 +164,12 @@ def associate_returns(
         across_m[returns, chosen], sides, np.hypot(*beams_m.T)
     )
     return AssociatedReturns(
-        returns=returns, sides=sides, normals=own, residuals_m=residuals_m, sigmas_m=sigmas_m
+        returns=returns,
+        sides=sides,
+        normals=own,
+        normal_variances=elements.normal_variances[found[returns, chosen]],
+        residuals_m=residuals_m,
+        sigmas_m=sigmas_m,
     )
 
 
