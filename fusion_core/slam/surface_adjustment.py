@@ -61,11 +61,13 @@ class SurfaceAdjustmentSettings(SurfaceElementSettings):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdjustedPoses:
-    """``poses_map_node``: (K, 3). ``odometry_scales``: of each odometry, 1 for one without error.
+    """``poses_map_node``: (K, 3). ``odometry_names``. ``odometry_scales``: of each odometry, by
+    which its steps are multiplied, 1 for one without error.
     ``odometry_factors``: of each, by what its standard deviations are widened, at least 1.
     ``is_adjusted``: whether there were surfaces to adjust by."""
 
     poses_map_node: FloatArray
+    odometry_names: tuple[str, ...] = ()
     odometry_scales: tuple[float, ...] = ()
     odometry_factors: tuple[float, ...] = ()
     is_adjusted: bool = False
@@ -146,6 +148,7 @@ def adjust_to_surfaces(
     adjusted[taken] = poses
     return AdjustedPoses(
         poses_map_node=adjusted,
+        odometry_names=tuple(track.name for track in odometries),
         odometry_scales=tuple(scales[1:]),
         odometry_factors=tuple(factors[1:]),
         is_adjusted=True,
@@ -168,7 +171,7 @@ def _odometry_steps(track: OdometryTrajectory, stamps_ns: IntArray) -> _Steps:
     """The steps between keyframes that it has measured."""
     at_nodes = resample_odometry(track, stamps_ns)
     first = np.flatnonzero(at_nodes.measured)
-    information: FloatArray = np.linalg.inv(at_nodes.step_covariance[first])
+    information = np.asarray(np.linalg.inv(at_nodes.step_covariance[first]), dtype=np.float64)
     return _Steps(
         first=first,
         second=first + 1,
