@@ -133,7 +133,9 @@ def read_visual_map(folder: Path, visual: VisualResults) -> MapResults:
     try:
         require_intact(folder, ("report.json",), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        grid = folder / f"map_{shown_map(report)}.yaml"
+        # Visual SLAM maps what the camera sees, unless both sensors' maps were fused.
+        shown = shown_map({"scan": "camera"} | report)
+        grid = folder / f"map_{shown}.yaml"
         require_intact(folder, (grid.name, f"{grid.stem}.pgm"))
         trajectory = visual.trajectory
         T_map_body = trajectory.T_map_body @ invert_transform(T_BODY_CAMERA)
