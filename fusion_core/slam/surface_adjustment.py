@@ -55,7 +55,11 @@ class SurfaceAdjustmentSettings(SurfaceElementSettings):
         3, "Times that surfaces are found and all is adjusted; 0 leaves the poses", ge=0, le=50
     )
     keyframes_max: int = setting(
-        3000, "Larger maps are not adjusted", unit="keyframes", ge=2, le=100_000
+        6000,
+        "Larger maps are not adjusted: 4,400 take 15 s and 0.3 GB",
+        unit="keyframes",
+        ge=2,
+        le=100_000,
     )
 
 
