@@ -23,7 +23,8 @@ class OdometryTrajectory:
     the same axes. The two differ since errors are correlated: the error of a match to a keyframe
     does not accumulate over the steps since, while that of a wrong wheel diameter is small in each
     step but always of one sign. Both are NaN where ``measured`` is False: unknown, not large.
-    ``notes``: messages to the user, such as why steps were not measured.
+    ``scale_sigma``: standard deviation in m/m of a scale that is common to all steps, where it is
+    in neither covariance. ``notes``: messages to the user, such as why steps were not measured.
     """
 
     name: str
@@ -32,6 +33,7 @@ class OdometryTrajectory:
     step_covariance: FloatArray
     drift_covariance: FloatArray
     measured: BoolArray
+    scale_sigma: float = 0.0
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -37,6 +37,7 @@ def resample_odometry(trajectory: OdometryTrajectory, stamps_ns: IntArray) -> Od
         step_covariance=mask_unmeasured(np.where(is_less, drift, mean), measured),
         drift_covariance=mask_unmeasured(drift, measured),
         measured=measured,
+        scale_sigma=trajectory.scale_sigma,
         notes=trajectory.notes,
     )
 

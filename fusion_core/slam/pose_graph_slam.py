@@ -1,4 +1,5 @@
-"""Pose graph SLAM: local SLAM, then loop closure, then poses and map refined together.
+"""Pose graph SLAM: local SLAM, then loop closure, then poses and map refined together, and adjusted
+with the odometry that shares no measurement with the scans.
 
 After Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", for whole recordings: loops are
 searched along the trajectory, with the poses that the loops before have given. ``pose_graph_slam``
@@ -9,7 +10,7 @@ runs all steps; each is in a separate file.
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -23,6 +24,7 @@ from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.registration.correlative import POSES_MAX, count_poses
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.identifiers import NodeId
@@ -34,6 +36,11 @@ from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
 from fusion_core.slam.pose_graph import UNKNOWN_STEP_SIGMAS, Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
+from fusion_core.slam.surface_adjustment import (
+    AdjustedPoses,
+    SurfaceAdjustmentSettings,
+    adjust_to_surfaces,
+)
 
 # Of odometry over a tracking loss: a slip in x, y [m] and yaw [rad]. Empirical.
 _BRIDGED_SIGMAS = (0.3, 0.3, 0.1)
@@ -49,6 +56,7 @@ class SlamSettings(SettingsGroup):
     loops: LoopSettings = LoopSettings()
     graph: GraphSettings = GraphSettings()
     refinement: RefinementSettings = RefinementSettings()
+    surface_adjustment: SurfaceAdjustmentSettings = SurfaceAdjustmentSettings()
 
     @model_validator(mode="after")
     def _searchable(self) -> Self:
@@ -73,7 +81,8 @@ class SlamResult:
     after a tracking loss over which no loop connects. ``keyframes``: (K,) numbers of the scans that
     are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its edges.
     ``loops_tried``, ``loops_dropped``: matches tried, and loops found but left out of the graph as
-    inconsistent with the others. ``seconds``: of each stage, on the wall clock.
+    inconsistent with the others. ``adjusted``: what the adjustment to surfaces found.
+    ``seconds``: of each stage, on the wall clock.
     """
 
     stamps_ns: IntArray
@@ -84,6 +93,7 @@ class SlamResult:
     residuals: FloatArray
     loops_tried: int
     loops_dropped: int
+    adjusted: AdjustedPoses
     seconds: Mapping[str, float]
 
     def __post_init__(self) -> None:
@@ -108,13 +118,15 @@ def pose_graph_slam(
     settings: SlamSettings | None = None,
     progress: Progress = silent,
     observer: SlamObserver = no_observer,
+    odometries: Sequence[OdometryTrajectory] = (),
 ) -> SlamResult:
     """Place every scan.
 
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
     it, and where it has no pose, velocity is taken to be constant. The first scan lies where the
     prior has it, else at the origin. ``observer``: called about every twenty scans, when the graph
-    is solved (with the keyframes alone), and at the end.
+    is solved (with the keyframes alone), and at the end. ``odometries``: sources that share no
+    measurement with the scans; the adjustment takes their steps by their covariances.
 
     Raises MappingFailed where there is no scan, or none has a point within range.
     """
@@ -163,6 +175,18 @@ def pose_graph_slam(
         settings.refinement,
         progress,
     )
+    refined_s = time.perf_counter()
+    adjusted = adjust_to_surfaces(
+        poses_map_node,
+        local.node_points_m,
+        local.stamps_ns[local.keyframes],
+        closed.is_connected,
+        (settings.graph.local_sigma_m, settings.graph.local_sigma_rad),
+        settings.surface_adjustment,
+        odometries,
+        progress,
+    )
+    poses_map_node = adjusted.poses_map_node
     end_s = time.perf_counter()
     poses_map_scan = interpolate_poses(local.poses_local_scan, local.keyframes, poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
@@ -177,11 +201,13 @@ def pose_graph_slam(
         residuals=residuals(poses_map_node, closed.edges),
         loops_tried=closed.candidates_tried,
         loops_dropped=closed.loops_dropped,
+        adjusted=adjusted,
         seconds={
             "local_slam": local_s - start_s,
             "loop_search": closed_s - local_s - closed.optimisation_s,
             "optimisation": closed.optimisation_s,
-            "refinement": end_s - closed_s,
+            "refinement": refined_s - closed_s,
+            "adjustment": end_s - refined_s,
         },
     )
 

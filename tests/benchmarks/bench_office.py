@@ -11,8 +11,8 @@ and say so.
     LiDAR SLAM        the LiDAR alone                     --motion none --slam pose-graph
     LiDAR, wheels     the LiDAR and the wheels            --motion wheel --slam pose-graph
     camera            virtual scans of the camera alone   --scan camera --motion visual
-    fused             the LiDAR's scans with the camera's obstacles, visual odometry as their prior
-                                                          --scan merged --motion visual
+    fused             the LiDAR's scans with the camera's obstacles, visual SLAM as their prior
+                                                          --scan merged --motion visual-slam
     fused, wheels     the same with the odometry of wheels, laser and camera together
                                                           --scan merged --motion fused
     table, bayes      as fused; the LiDAR's grid and the camera's, cell by cell
@@ -87,7 +87,7 @@ RUNS = (
     ),
     Run(
         name="fused",
-        options={"scan": "merged", "motion": "visual"},
+        options={"scan": "merged", "motion": "visual-slam"},
         map_name="merged",
         paper_rate=96.8,
         paper_error_m=0.0080,
@@ -95,13 +95,13 @@ RUNS = (
     Run(name="fused, wheels", options={"scan": "merged", "motion": "fused"}, map_name="merged"),
     Run(
         name="table",
-        options={"scan": "merged", "motion": "visual", "fusion": "table"},
+        options={"scan": "merged", "motion": "visual-slam", "fusion": "table"},
         map_name="fused",
         in_table_5=False,
     ),
     Run(
         name="bayes",
-        options={"scan": "merged", "motion": "visual", "fusion": "bayes"},
+        options={"scan": "merged", "motion": "visual-slam", "fusion": "bayes"},
         map_name="fused",
         in_table_5=False,
     ),

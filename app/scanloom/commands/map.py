@@ -41,9 +41,11 @@ class Map:
     scan: Literal["lidar", "camera", "repaired", "merged"] = "lidar"
     """The input scans: the LiDAR's, virtual scans of the depth camera, the LiDAR's as repaired by
     fuse, or the LiDAR's merged with what the camera sees below the robot's height."""
-    motion: Literal["recorded", "wheel", "laser", "visual", "fused", "none"] = "recorded"
+    motion: Literal["recorded", "wheel", "laser", "visual", "visual-slam", "fused", "none"] = (
+        "recorded"
+    )
     """The motion prior: recorded poses (TF, else odometry), wheel odometry, laser odometry (scan
-    matching), visual odometry, all of them fused, or none."""
+    matching), visual odometry, visual SLAM, all odometries fused, or none."""
     slam: Literal["none", "particle-filter", "pose-graph", "visual"] = "pose-graph"
     """The estimator; none uses the motion prior as the trajectory, visual maps a depth camera's
     images, with or without a LiDAR."""

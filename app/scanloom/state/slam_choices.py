@@ -37,6 +37,7 @@ _MOTION_NEEDS: dict[str, _Needs] = {
     "wheel": (("odometry",),),
     "laser": (("lidar",),),
     "visual": (("color", "depth"),),
+    "visual-slam": (("color", "depth"),),
     "fused": (("lidar",), ("color", "depth")),
     "none": ((),),
 }

@@ -63,7 +63,7 @@ def drift_covariance(
     steps_m = step_lengths_m(T_map_node[:-1], T_map_node[1:], settings)
     rates = np.repeat([settings.rotation_rad_per_m, settings.translation_m_per_m], 3)
     T_last_map = invert_transform(T_map_node[-1])
-    moved = _adjoints(T_last_map @ T_map_node[1:])
+    moved = adjoints(T_last_map @ T_map_node[1:])
     weights = steps_m * (float(steps_m.sum()) if path_m is None else path_m)
     covariance: FloatArray = np.einsum("n,nij,j,nkj->ik", weights, moved, rates**2, moved)
     return covariance
@@ -113,8 +113,8 @@ def path_length_m(T_map_node: FloatArray, settings: DriftSettings) -> float:
     return float(step_lengths_m(T_map_node[:-1], T_map_node[1:], settings).sum())
 
 
-def _adjoints(T_a_b: FloatArray) -> FloatArray:
-    """(N, 6, 6): a small motion in b's frame, rotation first, as one in a's."""
+def adjoints(T_a_b: FloatArray) -> FloatArray:
+    """(N, 6, 6) of (N, 4, 4): a small motion in b's frame, rotation first, as one in a's."""
     R, t = T_a_b[:, :3, :3], T_a_b[:, :3, 3]
     result = np.zeros((len(R), 6, 6))
     result[:, :3, :3] = result[:, 3:, 3:] = R

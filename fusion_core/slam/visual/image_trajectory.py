@@ -34,21 +34,30 @@ class Jump:
 
 @dataclass(slots=True, eq=False)
 class ImageTrajectory:
-    """Of each image: its stamp, its reference keyframe (-1: lost) and its pose relative to it."""
+    """Of each image: its stamp, its reference keyframe (-1: lost), its pose relative to it, and the
+    information of that (6, 6), None where it is lost or begins the map."""
 
     stamps_ns: list[int] = field(default_factory=list)
     references: list[int] = field(default_factory=list)
     T_reference_camera: list[FloatArray] = field(default_factory=list)
+    information: list[FloatArray | None] = field(default_factory=list)
     losses: dict[int, str] = field(default_factory=dict)
 
-    def append(self, stamp_ns: int, reference: int, T_reference_camera: FloatArray) -> None:
+    def append(
+        self,
+        stamp_ns: int,
+        reference: int,
+        T_reference_camera: FloatArray,
+        information: FloatArray | None,
+    ) -> None:
         self.stamps_ns.append(stamp_ns)
+        self.information.append(information)
         self.references.append(reference)
         self.T_reference_camera.append(T_reference_camera)
 
     def append_lost(self, stamp_ns: int, reason: str) -> None:
         self.losses[len(self.stamps_ns)] = reason
-        self.append(stamp_ns, -1, np.full((4, 4), np.nan))
+        self.append(stamp_ns, -1, np.full((4, 4), np.nan), None)
 
     def last_tracked(self) -> int:
         """The newest image that has a pose."""

@@ -14,12 +14,14 @@ from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, Visua
 class TrackedFrame:
     """``T_map_camera``: (4, 4). ``landmarks``: (F,) of the features, or NO_LANDMARK.
     ``positions_in_map_m``: (F, 3) what each feature sees: its landmark, else by its depth; NaN
-    where it has neither."""
+    where it has neither. ``information``: (6, 6) of the pose, see ``PoseFit``; None for the image
+    that begins the map, whose pose is chosen."""
 
     features: FrameFeatures
     T_map_camera: FloatArray
     landmarks: IntArray
     positions_in_map_m: FloatArray
+    information: FloatArray | None = None
 
     @property
     def in_sight(self) -> int:

@@ -159,6 +159,7 @@ class Tracker:
             T_map_camera=invert_transform(fit.T_camera_map),
             landmarks=landmarks,
             positions_in_map_m=positions,
+            information=fit.information,
         )
         frame.add_points_by_depth(self._camera)
         return frame

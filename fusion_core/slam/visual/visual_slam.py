@@ -105,6 +105,9 @@ class VisualSlamSettings(VisualLoopSettings):
 class VisualSlamResult:
     """``stamps_ns``: (N,) of all images. ``T_map_camera``: (N, 4, 4) of the camera's optical frame,
     the map being that of the first keyframe; NaN where ``is_tracked``, (N,), is false.
+    ``references``: (N,) the keyframe in whose local map each was tracked, -1 where lost.
+    ``information``: (N, 6, 6) of each pose in that map by what the image sees, see ``PoseFit``; NaN
+    where it is lost, and for the image that begins the map.
     ``visual_map``: its keyframes and landmarks. ``refused_loops``: keyframes that look alike and
     were not joined. ``seconds``: wall-clock time of each stage, which overlap where mapping has a
     thread of its own. ``notes``: for people.
@@ -113,6 +116,8 @@ class VisualSlamResult:
     stamps_ns: IntArray
     T_map_camera: FloatArray
     is_tracked: BoolArray
+    references: IntArray
+    information: FloatArray
     visual_map: VisualMap
     lost: tuple[LostStretch, ...]
     jumps: tuple[Jump, ...]
@@ -122,7 +127,13 @@ class VisualSlamResult:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for array in (self.stamps_ns, self.T_map_camera, self.is_tracked):
+        for array in (
+            self.stamps_ns,
+            self.T_map_camera,
+            self.is_tracked,
+            self.references,
+            self.information,
+        ):
             read_only(array)
 
 
@@ -250,7 +261,10 @@ class _VisualSlam:
             self._add_keyframe(frame, tracked)
             return
         self._trajectory.append(
-            frame.stamp_ns, self._local.reference, T_reference_map @ tracked.T_map_camera
+            frame.stamp_ns,
+            self._local.reference,
+            T_reference_map @ tracked.T_map_camera,
+            tracked.information,
         )
 
     def _wants_keyframe(self, tracked: TrackedFrame) -> bool:
@@ -276,7 +290,7 @@ class _VisualSlam:
         )
         made = new_landmarks(self._map, keyframe, tracked.positions_in_map_m)
         tracked.landmarks = keyframe.landmarks.copy()
-        self._trajectory.append(frame.stamp_ns, keyframe.index, np.eye(4))
+        self._trajectory.append(frame.stamp_ns, keyframe.index, np.eye(4), tracked.information)
         self._since_keyframe = self._most_in_sight = 0
         self._show(frame, tracked)
         # The new keyframe is seen by tracking at once; what mapping makes of it, later.
@@ -407,6 +421,10 @@ class _VisualSlam:
             stamps_ns=stamps_ns,
             T_map_camera=poses,
             is_tracked=is_tracked,
+            references=np.array(trajectory.references, np.int64),
+            information=np.stack(
+                [np.full((6, 6), np.nan) if one is None else one for one in trajectory.information]
+            ),
             visual_map=self._map,
             lost=lost,
             jumps=find_jumps(stamps_ns, poses, is_tracked),

@@ -88,13 +88,17 @@ def build_map(
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(report, output)
+    _require_fusion(report, options, output)
+    return MapSummary(output=output, is_skipped=plan.is_done, report=report, seconds=seconds)
+
+
+def _require_fusion(report: Mapping[str, Any], options: MapOptions, output: Path) -> None:
     if options.fusion != "none" and "grid_fusion" not in report:
         raise MappingFailed(
             f"--fusion {options.fusion} needs two grids, and one of them could not be drawn.",
             file=output,
             advice="The notes in report.json say why.",
         )
-    return MapSummary(output=output, is_skipped=plan.is_done, report=report, seconds=seconds)
 
 
 def _build_visual_map(
@@ -129,6 +133,7 @@ def _build_visual_map(
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise untracked(report, output)
+    _require_fusion(report, options, output)
     return VisualMapSummary(output=output, is_skipped=plan.is_done, report=report, seconds=seconds)
 
 
@@ -150,7 +155,15 @@ def _map_into(
 
     # SLAM: a pose in the map for each scan.
     assert options.slam != "visual", "visual SLAM places images"
-    placed = place_scans(inputs.scans, prior, options.slam, settings, progress, observer)
+    placed = place_scans(
+        inputs.scans,
+        prior,
+        options.slam,
+        settings,
+        progress,
+        observer,
+        () if inputs.motion is None else inputs.motion.independent,
+    )
     seconds.update(placed.seconds)
 
     # Occupancy grids from the placed scans.

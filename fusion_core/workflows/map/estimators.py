@@ -1,6 +1,6 @@
 """The estimators of ``scanloom map``: each places the scans of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +12,7 @@ from fusion_core.model.planar_poses import PosePrior, interpolate_pose
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
 from fusion_core.model.stamps import find_neighbours
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.map.scan_source import ScanSource
@@ -63,13 +64,14 @@ def place_scans(
     settings: MapSettings,
     progress: Progress,
     observer: SlamObserver,
+    odometries: Sequence[OdometryTrajectory] = (),
 ) -> PlacedScans:
-    """Place the scans; without SLAM by ``prior`` only.
+    """Place the scans; without SLAM by ``prior`` only. ``odometries``: see ``pose_graph_slam``.
 
     Raises MappingFailed where no scan can be placed.
     """
     if slam == "pose-graph":
-        graph = pose_graph_slam(scans, prior, settings, progress, observer)
+        graph = pose_graph_slam(scans, prior, settings, progress, observer, odometries)
         return PlacedScans(
             stamps_ns=graph.stamps_ns,
             poses_map_scan=graph.poses_map_scan,

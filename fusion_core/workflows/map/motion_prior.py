@@ -1,11 +1,12 @@
 """What is known of the LiDAR's motion before SLAM (Li 2022 §3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from fusion_core.model.conventions import R_BODY_OPTICAL, IntArray
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, IntArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import make_transform
 from fusion_core.model.planar_poses import PosePrior
@@ -21,13 +22,20 @@ from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
 from fusion_core.motion.wheel import WheelSettings, wheel_odometry
 from fusion_core.recordings.topics import Streams, choose_streams
 from fusion_core.settings import SettingsGroup
+from fusion_core.slam.visual.planar_motion import PlanarMotionSettings, planar_motion
+from fusion_core.slam.visual.visual_slam import VisualSlamSettings, visual_slam
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
-from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
+from fusion_core.workflows.map.rgbd_frames import (
+    Purpose,
+    RgbdFrames,
+    first_camera_extrinsics,
+)
 from fusion_core.workflows.map.scan_source import ScanSource
+from fusion_core.workflows.map.visual.color_registration import register_colors
 from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from fusion_core.workflows.stamp_filter import StampFilter
 
-MotionKind = Literal["recorded", "wheel", "laser", "visual", "fused", "none"]
+MotionKind = Literal["recorded", "wheel", "laser", "visual", "visual-slam", "fused", "none"]
 
 
 class MotionSettings(SettingsGroup):
@@ -37,6 +45,7 @@ class MotionSettings(SettingsGroup):
     laser: LaserOdometrySettings = LaserOdometrySettings()
     visual: VisualOdometrySettings = VisualOdometrySettings()
     fusion: FusionSettings = FusionSettings()
+    visual_slam_motion: PlanarMotionSettings = PlanarMotionSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,13 +53,15 @@ class MotionPrior:
     """The LiDAR's motion by one source, or by several.
 
     ``at``: interpolated poses of the LiDAR. ``tracks``: the odometry of each source at the scans'
-    stamps, the fused one last; empty for recorded poses, which are used as they are. ``weights``:
-    of the fusion. ``notes``: for people.
+    stamps, the fused one last; empty for recorded poses, which are used as they are.
+    ``independent``: those that share no measurement with the LiDAR's scans. ``weights``: of the
+    fusion. ``notes``: for people.
     """
 
     source: str
     at: PosePrior
     tracks: tuple[OdometryTrajectory, ...] = ()
+    independent: tuple[OdometryTrajectory, ...] = ()
     weights: FusionWeights | None = None
     notes: tuple[str, ...] = ()
 
@@ -84,6 +95,8 @@ def open_motion_prior(
         return _single_odometry(sources.laser(None), sources.notes)
     if kind == "visual":
         return _single_odometry(sources.visual(needs_extrinsics=False), sources.notes)
+    if kind == "visual-slam":
+        return _single_odometry(sources.visual_slam(), sources.notes)
     return _fused_odometry(sources, settings.fusion)
 
 
@@ -120,8 +133,17 @@ def require_recorded_poses(
 
 def _single_odometry(track: OdometryTrajectory, notes: list[str]) -> MotionPrior:
     return MotionPrior(
-        source=track.name, at=track.pose_at, tracks=(track,), notes=(*notes, *_track_notes(track))
+        source=track.name,
+        at=track.pose_at,
+        tracks=(track,),
+        independent=_independent([track]),
+        notes=(*notes, *_track_notes(track)),
     )
+
+
+def _independent(tracks: Sequence[OdometryTrajectory]) -> tuple[OdometryTrajectory, ...]:
+    """Those that the scans take no part in; laser odometry is the scans themselves."""
+    return tuple(track for track in tracks if track.name != "laser")
 
 
 def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> MotionPrior:
@@ -140,12 +162,19 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
     if len(tracks) == 1:
         alone = tracks[0]
         notes.append(f"Nothing to fuse: {alone.name} odometry is all there is.")
-        return MotionPrior(source=alone.name, at=alone.pose_at, tracks=(alone,), notes=tuple(notes))
+        return MotionPrior(
+            source=alone.name,
+            at=alone.pose_at,
+            tracks=(alone,),
+            independent=_independent(tracks),
+            notes=tuple(notes),
+        )
     fusion = fuse_odometry(tracks, settings)
     return MotionPrior(
         source=f"fused ({', '.join(track.name for track in tracks)})",
         at=fusion.trajectory.pose_at,
         tracks=(*tracks, fusion.trajectory),
+        independent=_independent(tracks),
         weights=fusion.weights,
         notes=(*notes, *fusion.trajectory.notes),
     )
@@ -205,20 +234,11 @@ class _OdometrySources:
         return track
 
     def visual(self, *, needs_extrinsics: bool) -> OdometryTrajectory:
-        frames = RgbdFrames(
-            self._recording, self._streams, clock_offset_ns=self._sensors.clock_offset_ns
-        )
-        T_lidar_camera, notes = first_camera_extrinsics(
-            self._recording, self._streams, self._sensors.extrinsics
-        )
-        self.notes.extend(notes)
+        frames = self._frames("Visual odometry")
+        T_lidar_camera = self._T_lidar_camera()
         if T_lidar_camera is None:
             if needs_extrinsics:
-                raise MissingStream(
-                    "does not tell where the camera stands on the LiDAR.",
-                    file=self._recording.path,
-                    advice="Give --extrinsics FILE.",
-                )
+                raise self._unknown_mount()
             T_lidar_camera = make_transform(R_BODY_OPTICAL, np.zeros(3))
             self.notes.append(
                 "Visual odometry is the camera's own, taken to be level and to look ahead: nothing "
@@ -229,3 +249,42 @@ class _OdometrySources:
         )
         self.notes.extend(frames.notes)
         return resample_odometry(track, self.stamps_ns())
+
+    def visual_slam(self) -> OdometryTrajectory:
+        frames = self._frames("Visual SLAM")
+        T_lidar_camera = self._T_lidar_camera()
+        if T_lidar_camera is None:
+            raise self._unknown_mount()
+        settings = VisualSlamSettings()
+        registered = register_colors(frames, frames.intrinsics, settings)
+        result = visual_slam(registered, frames.intrinsics, settings, progress=self._progress)
+        self.notes.extend((*frames.notes, *registered.notes, *result.notes))
+        loops = len(result.visual_map.loops)
+        self.notes.append(
+            f"Visual SLAM has placed {int(result.is_tracked.sum())} of {len(result.stamps_ns)} "
+            f"images, with {len(result.visual_map.kept_keyframes)} keyframes and {loops} loops."
+        )
+        track = planar_motion(result, T_lidar_camera, self._settings.visual_slam_motion)
+        return resample_odometry(track, self.stamps_ns())
+
+    def _frames(self, purpose: Purpose) -> RgbdFrames:
+        return RgbdFrames(
+            self._recording,
+            self._streams,
+            clock_offset_ns=self._sensors.clock_offset_ns,
+            purpose=purpose,
+        )
+
+    def _T_lidar_camera(self) -> FloatArray | None:
+        T_lidar_camera, notes = first_camera_extrinsics(
+            self._recording, self._streams, self._sensors.extrinsics
+        )
+        self.notes.extend(notes)
+        return T_lidar_camera
+
+    def _unknown_mount(self) -> MissingStream:
+        return MissingStream(
+            "does not tell where the camera stands on the LiDAR.",
+            file=self._recording.path,
+            advice="Give --extrinsics FILE.",
+        )

@@ -54,7 +54,12 @@ class MapOptions:
         """The choices that report.json states, by name."""
         if self.is_visual:
             # The camera is all that is mapped; its motion is a part of the SLAM.
-            return {"scan": "camera", "motion": "none", "slam": self.slam, "fusion": "none"}
+            return {
+                "scan": "camera",
+                "motion": "none",
+                "slam": self.slam,
+                "fusion": self.fusion,
+            }
         return {
             "scan": self.scan,
             "motion": self.motion,
@@ -85,7 +90,7 @@ class MapOptions:
     @property
     def needs_extrinsics(self) -> bool:
         """Whether the cameras' extrinsics are used."""
-        uses_images = self.draws_camera or self.motion in ("visual", "fused")
+        uses_images = self.draws_camera or self.motion in ("visual", "visual-slam", "fused")
         return uses_images or self.scan == "repaired"
 
     def identity(self) -> str:
@@ -138,7 +143,6 @@ class MapOptions:
             (f"--motion {self.motion}", self.motion != defaults.motion),
             (f"--preset {self.preset}", self.preset != defaults.preset),
             ("--seed", self.seed is not None),
-            (f"--fusion {self.fusion}", self.fusion != defaults.fusion),
             ("--labels", self.labels is not None),
             ("--pose", self.pose_topic is not None),
         ):

@@ -124,6 +124,18 @@ def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
         "loops": result.loops,
         "loops_tried": result.loops_tried,
         "loops_dropped": result.loops_dropped,
+        "surface_adjustment": {
+            "adjusted": result.adjusted.is_adjusted,
+            "odometry": {
+                name: {"scale": scale, "widened": widened}
+                for name, scale, widened in zip(
+                    result.adjusted.odometry_names,
+                    result.adjusted.odometry_scales,
+                    result.adjusted.odometry_factors,
+                    strict=True,
+                )
+            },
+        },
         "loop_closures": [
             {
                 "first_s": float(stamps_ns[result.keyframes[graph.first[edge]]]) / 1e9,

@@ -20,6 +20,7 @@ from fusion_core.slam import particle_filter
 from fusion_core.slam.joint_refinement import RefinementSettings
 from fusion_core.slam.particle_filter import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
+from fusion_core.slam.surface_adjustment import SurfaceAdjustmentSettings
 from fusion_core.workflows.fuse.settings import (
     PRESETS,
     ChainSettings,
@@ -47,6 +48,7 @@ MAP_PRESETS: dict[PresetName, MapSettings] = {
         fusion=FusionSettings(method="published"),
         particles=particle_filter.PUBLISHED,
         refinement=RefinementSettings(rounds=0),
+        surface_adjustment=SurfaceAdjustmentSettings(rounds=0),
     ),
 }
 

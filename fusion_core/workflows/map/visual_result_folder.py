@@ -23,11 +23,11 @@ from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
+from fusion_core.workflows.map.options import shown_map
 from fusion_core.workflows.map.result_folder import MapResults, read_grid
 
 VISUAL_MAP = "visual_map.npz"
 _CAMERA_TRAJECTORY, _TRAJECTORY, _CLOUD = "trajectory_camera.tum", "trajectory.tum", "cloud.ply"
-_GRID = "camera"
 _NO_LANDMARK = -1
 T_BODY_CAMERA = make_transform(R_BODY_OPTICAL, np.zeros(3))
 """(4, 4) of optical axes (right, down, ahead) in body axes (ahead, left, up)."""
@@ -126,14 +126,16 @@ def read_visual_results(folder: Path) -> VisualResults:
 
 def read_visual_map(folder: Path, visual: VisualResults) -> MapResults:
     """The same run as ``read_map_results`` has others: the trajectory in body axes (x where the
-    camera looks), untrusted where it was lost or doubtful, and the map of the camera.
+    camera looks), untrusted where it was lost or doubtful, and the map that is the result.
 
     Raises ExportError.
     """
     try:
         require_intact(folder, ("report.json",), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        grid = folder / f"map_{_GRID}.yaml"
+        # Visual SLAM maps what the camera sees, unless both sensors' maps were fused.
+        shown = shown_map({"scan": "camera"} | report)
+        grid = folder / f"map_{shown}.yaml"
         require_intact(folder, (grid.name, f"{grid.stem}.pgm"))
         trajectory = visual.trajectory
         T_map_body = trajectory.T_map_body @ invert_transform(T_BODY_CAMERA)

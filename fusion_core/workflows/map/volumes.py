@@ -1,7 +1,7 @@
 """The maps in space of a run of visual SLAM: dense cloud, surface, octree and the grid projected
 from it (Fu 2024 §3.1), each assembled from the keyframes' images at their final poses."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ __all__ = ["Views", "VolumeSettings", "VolumeSummary", "write_volumes"]
 
 # Without a floor in sight the band begins above the lowest points; this percentage may lie lower.
 _LOWEST_PERCENT = 1.0
+_NOT_REPORTED = ("grid", "notes")
 # x, y, z as float32, and three bytes of colour.
 _BYTES_PER_POINT = 15
 
@@ -40,7 +41,8 @@ class VolumeSummary:
 
     ``lowest_in_map_m``, ``highest_in_map_m``: the corners of the dense cloud's extent.
     ``mesh_voxel_m``: 0 where there is no mesh. ``octree_bytes``: of the tree in memory, as it was
-    built; ``cloud_bytes``: of the dense cloud's points and colours at 15 bytes each.
+    built; ``cloud_bytes``: of the dense cloud's points and colours at 15 bytes each. ``grid``: the
+    one projected from the octree, None where there is none.
     """
 
     keyframes: int
@@ -60,11 +62,13 @@ class VolumeSummary:
     floor_height_m: float
     grid_occupied_cells: int
     grid_free_cells: int
+    grid: OccupancyGrid | None = None
     notes: tuple[str, ...] = ()
 
     def to_report(self) -> dict[str, Any]:
-        """As plain values, without the notes."""
-        return {name: value for name, value in asdict(self).items() if name != "notes"}
+        """As plain values, without the grid and the notes."""
+        plain = replace(self, grid=None, notes=())
+        return {name: value for name, value in asdict(plain).items() if name not in _NOT_REPORTED}
 
 
 def write_volumes(
@@ -161,5 +165,6 @@ def _summary(
         floor_height_m=floor_height_m,
         grid_occupied_cells=int((log_odds >= 0.0).sum()),
         grid_free_cells=int((log_odds < 0.0).sum()),
+        grid=grid,
         notes=tuple(notes),
     )

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,13 +17,20 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
 from fusion_core.model.visual_slam_view import VisualSlamObserver
 from fusion_core.recordings.topics import Streams, choose_streams
+from fusion_core.slam.submaps import SubmapSettings
 from fusion_core.slam.visual.visual_slam import visual_slam
+from fusion_core.workflows.fuse.figures import printable
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
 from fusion_core.workflows.map.settings import MapSettings
 from fusion_core.workflows.map.visual.color_registration import register_colors
 from fusion_core.workflows.map.visual.keyframe_views import KeyframeViews
+from fusion_core.workflows.map.visual.lidar_map import (
+    draw_lidar_map,
+    require_fusible,
+    write_lidar_map,
+)
 from fusion_core.workflows.map.visual.map_frame import level_map_frame
 from fusion_core.workflows.map.visual.report import build_visual_report
 from fusion_core.workflows.map.visual.settings import VisualMapSettings
@@ -59,6 +67,7 @@ def map_visually(
             recording, streams, MapSettings(), file=options.extrinsics_file, progress=progress
         )
     T_lidar_camera, mount_notes = first_camera_extrinsics(recording, streams, extrinsics)
+    require_fusible(recording, streams, options, T_lidar_camera)
 
     # Colour that shows what depth does.
     start_s = time.perf_counter()
@@ -94,6 +103,7 @@ def map_visually(
     start_s = time.perf_counter()
     views = KeyframeViews(frames, stamps_ns, map_frame.T_map_first @ T_first_keyframe)
     volumes: dict[str, Any] = {}
+    camera_grid = None
     try:
         written = write_volumes(
             folder,
@@ -104,9 +114,36 @@ def map_visually(
             floor_height_m=0.0 if map_frame.is_floor_known else None,
         )
         volumes, volume_notes = written.to_report(), written.notes
+        camera_grid = written.grid
     except MappingFailed as error:
         # The path is worth keeping where depth is too poor for a map.
         volume_notes = (f"No maps in space: {error}",)
+
+    # The LiDAR's own map along the same path, and what both sensors know together.
+    fusion: Mapping[str, Any] = {}
+    lidar_notes: list[str] = []
+    if streams.lidar is not None and T_lidar_camera is not None:
+        grid_settings = settings.grid
+        if camera_grid is not None:
+            # Two grids are compared cell by cell.
+            resolution = {"resolution_m": camera_grid.resolution_m}
+            grid_settings = grid_settings.model_copy(update=resolution)
+        lidar_grid, lidar_notes = draw_lidar_map(
+            recording,
+            streams,
+            result,
+            map_frame.T_map_first,
+            T_lidar_camera,
+            grid_settings,
+            SubmapSettings().max_range_m,
+            progress,
+        )
+        if lidar_grid is not None:
+            heading = f"{printable(recording.path.resolve().name)}, SLAM visual"
+            fusion, fusion_notes = write_lidar_map(
+                folder, lidar_grid, camera_grid, options, settings, heading
+            )
+            lidar_notes += fusion_notes
     seconds["maps"] = time.perf_counter() - start_s
     notes = [
         *streams.notes,
@@ -116,12 +153,14 @@ def map_visually(
         *_lidar_note(streams, T_lidar_camera is not None),
         *map_frame.notes,
         *volume_notes,
+        *lidar_notes,
         *result.notes,
         *recording.warnings,
     ]
     report = build_visual_report(result, options.choices, notes) | {
         "color_zoom": frames.zoom,
         "volumes": volumes,
+        **fusion,
     }
     write_text(folder / REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report, seconds

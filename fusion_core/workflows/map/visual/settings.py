@@ -3,13 +3,19 @@
 from pathlib import Path
 
 from fusion_core.exporting.settings_file import dump_toml
+from fusion_core.mapping.grid import GridSettings
+from fusion_core.mapping.grid_misalignment import GridFusionSettings
 from fusion_core.slam.visual.visual_slam import VisualSlamSettings
 from fusion_core.workflows.fuse.settings import PresetName, preset_with_file
 from fusion_core.workflows.map.volumes import VolumeSettings
 
 
 class VisualMapSettings(VisualSlamSettings, VolumeSettings):
-    """Every stage's settings: of the SLAM, and of the maps in space."""
+    """Every stage's settings: of the SLAM, of the maps in space, of the LiDAR's own map along the
+    same path, and of the fusion with it."""
+
+    grid: GridSettings = GridSettings()
+    grid_fusion: GridFusionSettings = GridFusionSettings()
 
 
 # Fu 2024 prints no settings of its visual SLAM: there is no published preset.
