@@ -8,6 +8,8 @@ POSITION_MAX_M = 1e8
 """Greatest plausible distance of a recorded position from its origin: twice round the Earth."""
 
 
+# Entries of R Rᵀ - 1: rotations printed with four digits pass, scaled or sheared matrices do not.
+_RIGID_TOLERANCE = 1e-3
 # Rounding of a float32 quaternion's entries is 1e-7; below this a direction is meaningless.
 _QUATERNION_NORM_MIN = 1e-12
 
@@ -24,6 +26,22 @@ def invert_transform(T_a_b: FloatArray) -> FloatArray:
     """T_b_a of a rigid (4, 4) T_a_b."""
     rotation = T_a_b[:3, :3].T
     return make_transform(rotation, -rotation @ T_a_b[:3, 3])
+
+
+def rigid_fault(T: FloatArray) -> str:
+    """Why a matrix is no rigid (4, 4) transform, as the rest of a sentence after a colon; empty for
+    one that is."""
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return f"it must be (4, 4) and finite, got {T.shape}"
+    rotation = T[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        determinant = float(np.linalg.det(rotation))
+    off = max(off, float(np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max()))
+    # What overflows is NaN, and no less than anything.
+    if off <= _RIGID_TOLERANCE and determinant > 0.0:
+        return ""
+    return f"it is off by {off:.2g}, its determinant is {determinant:.3g}"
 
 
 def transform_points(T_a_b: FloatArray, points_in_b: FloatArray) -> FloatArray:

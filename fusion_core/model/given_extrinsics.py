@@ -4,12 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.model.errors import SettingsError
-
-_RIGID_TOLERANCE = 1e-6
+from fusion_core.model.geometry import rigid_fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,14 +19,9 @@ class CameraPose:
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        T = self.T_camera_lidar
-        if T.shape != (4, 4) or not np.isfinite(T).all():
-            raise ValueError(f"T_camera_lidar must be (4, 4) and finite, got {T.shape}")
-        rotation = T[:3, :3]
-        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if off > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0.0:
-            raise ValueError(f"T_camera_lidar must be rigid, it is off by {off:.2g}")
-        read_only(T)
+        if fault := rigid_fault(self.T_camera_lidar):
+            raise ValueError(f"T_camera_lidar is no rigid transform: {fault}")
+        read_only(self.T_camera_lidar)
         if self.covariance is not None:
             if self.covariance.shape != (6, 6):
                 raise ValueError(f"covariance must be (6, 6), got {self.covariance.shape}")

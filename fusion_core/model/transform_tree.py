@@ -6,15 +6,12 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import FramesNotConnected, StampOutsideRange
-from fusion_core.model.geometry import invert_transform
+from fusion_core.model.geometry import invert_transform, rigid_fault
 from fusion_core.model.interpolation import interpolate_transform
 from fusion_core.model.sensors import Transform
 from fusion_core.model.stamps import StampNeighbours, find_neighbours
 
 _Pair = tuple[str, str]
-
-# Entries of R Rᵀ - 1: quaternions printed with four digits pass, scaled or sheared matrices do not.
-_ROTATION_TOLERANCE = 1e-3
 
 
 class TransformTree:
@@ -48,7 +45,7 @@ class TransformTree:
     def add(self, sample: Transform, *, static: bool) -> None:
         """Add one transform; one that is not rigid is rejected and counted in
         ``rejected_count``."""
-        if sample.parent == sample.child or not _is_rigid(sample.T_parent_child):
+        if sample.parent == sample.child or rigid_fault(sample.T_parent_child):
             self.rejected_count += 1
             return
         pair = (sample.parent, sample.child)
@@ -141,17 +138,6 @@ class TransformTree:
             start_ns=min(samples.start_ns for samples in recorded),
             end_ns=max(samples.end_ns for samples in recorded),
         )
-
-
-def _is_rigid(T_parent_child: FloatArray) -> bool:
-    if not np.isfinite(T_parent_child).all():
-        return False
-    rotation = T_parent_child[:3, :3]
-    off_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    off_homogeneous = np.abs(T_parent_child[3] - (0.0, 0.0, 0.0, 1.0)).max()
-    return bool(
-        max(off_rotation, off_homogeneous) < _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0
-    )
 
 
 class _Samples:

@@ -7,7 +7,9 @@ and refined. Printed are the share that comes back within 0.3 degrees and 5 cm o
 and the share that ends worse than it began: farther from the given extrinsics by the mean distance,
 in pixels, between where the visible points appear under the two (``image``), and by the rotation
 and the translation alone. The given extrinsics are no truth: they are as good as their authors'
-calibration. ``--pictures`` writes the cloud over the image at the first guess, at its result and
+calibration. All starts of a scene share its one cloud and image: what their errors have in common
+is one draw, so that the error squared in the covariance says something of several scenes together
+alone. ``--pictures`` writes the cloud over the image at the first guess, at its result and
 at the given extrinsics.
 """
 

@@ -56,7 +56,7 @@ def test_a_bias_moves_the_image_by_no_more_than_where_an_edge_lies_between_beams
     metric = positive(rng)
     spacing = 0.003
     anywhere = np.var(rng.uniform(0.0, spacing, 100_000))
-    root = np.linalg.cholesky(bearing_bias(metric, spacing))
+    root = np.linalg.cholesky(bearing_bias(metric, spacing / np.sqrt(12.0)))
     for direction in rng.normal(size=(5, 6)):
         error = root @ (direction / np.linalg.norm(direction))
         assert error @ metric @ error == pytest.approx(anywhere, rel=0.02)

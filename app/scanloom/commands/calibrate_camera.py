@@ -2,13 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
-from scanloom.commands.options import JsonFlag, SettingsOption, TopicOption, require_integer
+from scanloom.commands.options import (
+    JointOption,
+    JsonFlag,
+    PointsOption,
+    PresetSettingsOption,
+    SeedOption,
+    SongPresetOption,
+    require_integer,
+)
 from scanloom.commands.reports import Report
 
 
@@ -30,16 +38,11 @@ class CalibrateCamera:
     """A file with T_camera_lidar, kept where the result is not better."""
     cloud: Annotated[Path | None, conf.arg(metavar="CLOUD", help_behavior_hint="")] = None
     """Write the points that the camera sees in its colours: .ply or .pcd."""
-    points: TopicOption = None
-    """The PointCloud2 topic of a recording (default: the one with most messages)."""
-    joint: Annotated[str | None, conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """The joint of the axis (default: the one that turns most)."""
-    preset: Literal["default", "published"] = "default"
-    """The project's own method, or that of Song 2022."""
-    settings: SettingsOption = None
-    """A TOML file whose values override the preset's."""
-    seed: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Seed of the random draws, overriding the settings'."""
+    points: PointsOption = None
+    joint: JointOption = None
+    preset: SongPresetOption = "default"
+    settings: PresetSettingsOption = None
+    seed: SeedOption = None
     json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:

@@ -2,17 +2,20 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
 from scanloom.commands.options import (
+    JointOption,
     JsonFlag,
+    PointsOption,
+    PresetSettingsOption,
     RecordingArgument,
-    SettingsOption,
-    TopicOption,
+    SeedOption,
+    SongPresetOption,
     require_integer,
 )
 from scanloom.commands.reports import Report
@@ -29,16 +32,11 @@ class CalibrateLidar:
     """The result to write: .json or .toml."""
     cloud: Annotated[Path | None, conf.arg(metavar="CLOUD", help_behavior_hint="")] = None
     """Write the dense cloud of the turn too, calibrated: .ply or .pcd."""
-    points: TopicOption = None
-    """The PointCloud2 topic (default: the one with most messages)."""
-    joint: Annotated[str | None, conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """The joint of the axis (default: the one that turns most)."""
-    preset: Literal["default", "published"] = "default"
-    """The project's own method, or that of Song 2022."""
-    settings: SettingsOption = None
-    """A TOML file whose values override the preset's."""
-    seed: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Seed of the choice of points, overriding the settings'."""
+    points: PointsOption = None
+    joint: JointOption = None
+    preset: SongPresetOption = "default"
+    settings: PresetSettingsOption = None
+    seed: SeedOption = None
     json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:

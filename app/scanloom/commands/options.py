@@ -1,7 +1,7 @@
 """Options that several commands share, and the checks of their values."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro import conf
 
@@ -21,6 +21,42 @@ Flag = Annotated[bool, conf.arg(help_behavior_hint="")]
 RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING")]
 SettingsOption = Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")]
 TopicOption = Annotated[str | None, conf.arg(metavar="TOPIC", help_behavior_hint="")]
+PointsOption = Annotated[
+    str | None,
+    conf.arg(
+        metavar="TOPIC",
+        help="The recording's PointCloud2 topic (default: the one with most messages).",
+        help_behavior_hint="",
+    ),
+]
+JointOption = Annotated[
+    str | None,
+    conf.arg(
+        metavar="NAME",
+        help="The joint of the axis (default: the one that turns most).",
+        help_behavior_hint="",
+    ),
+]
+SongPresetOption = Annotated[
+    Literal["default", "published"],
+    conf.arg(help="The project's own method, or that of Song 2022."),
+]
+PresetSettingsOption = Annotated[
+    Path | None,
+    conf.arg(
+        metavar="FILE",
+        help="A TOML file whose values override the preset's.",
+        help_behavior_hint="",
+    ),
+]
+SeedOption = Annotated[
+    int | None,
+    conf.arg(
+        metavar="N",
+        help="Seed of the random draws, overriding the settings'.",
+        help_behavior_hint="",
+    ),
+]
 HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hint="")]
 RoomOption = Annotated[
     str | None,

@@ -21,15 +21,17 @@ from fusion_core.calibration.refinement.pose_search import PosePosterior, search
 from fusion_core.calibration.refinement.scene_view import SceneView
 from fusion_core.model.conventions import BoolArray, FloatArray
 
-# Shares of the way from the guess's translation to the result's.
-_SHARES = (0.75, 0.5, 0.25)
+# How cautious a candidate's translation is: the mean variance of the result's, over that of a
+# further prior about the guess.
+_CAUTIONS = np.array([0.0, *np.geomspace(0.03, 300.0, 25), np.inf])
+# Shares of the way from the guess's rotation to the result's.
+_ROTATION_SHARES = np.linspace(1.0, 0.2, 9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A pose that might replace the guess. ``error``: (6,) from the guess. ``note``: what of the
-    translation stays at the guess, for people; "" where nothing does. ``risk``: of being worse, by
-    what."""
+    """A pose that might replace the guess. ``error``: (6,) from the guess. ``note``: how much of
+    the way it goes, for people; "" where all of it. ``risk``: of being worse, by what."""
 
     error: FloatArray
     note: str
@@ -91,67 +93,63 @@ def _clearly_gains(of_parts: FloatArray) -> bool:
     return mean > float(limit)
 
 
-def turn_to(
-    posterior: PosePosterior,
-    view: SceneView,
-    mean: FloatArray,
-    covariance: FloatArray,
-    translation: FloatArray,
-) -> FloatArray:
-    """(6,) the best error with this translation (3,), from where (mean, covariance) has it."""
-    apart = translation - mean[3:]
-    turned = covariance[:3, 3:] @ np.linalg.solve(covariance[3:, 3:], apart)
-    start = np.concatenate([mean[:3] + turned, translation])
+def turn_to(posterior: PosePosterior, view: SceneView, error: FloatArray) -> FloatArray:
+    """(6,) the best error with the translation of another, searched for from its rotation."""
     free = np.concatenate([np.eye(3), np.zeros((3, 3))])
-    basis = _step_basis_within(view, posterior, free)
-    return search_pose(posterior, view.levels[-1:], [basis], start)
+    within = free.T @ (view.metric / view.levels[-1].sigma_rad ** 2 + posterior.precision) @ free
+    values, vectors = np.linalg.eigh(within)
+    basis: FloatArray = free @ (vectors / np.sqrt(values))
+    return search_pose(posterior, view.levels[-1:], [basis], error)
 
 
 def make_candidates(
-    posterior: PosePosterior, view: SceneView, mean: FloatArray, covariance: FloatArray
+    mean: FloatArray, covariance: FloatArray, metric: FloatArray
 ) -> list[Candidate]:
-    """The mean, and the same with less of its translation: with the least certain one, two and all
-    directions at the guess, and with a part of the way alone, which is worse than the guess in
-    fewer cases than all of it."""
-    variance, moved = covariance[3:, 3:], mean[3:]
-    _, directions = np.linalg.eigh(variance)
-    wanted = [("", moved)]
-    for held, words in enumerate(("One direction", "Two directions"), start=1):
-        fixed = directions[:, 3 - held :]
-        gain = variance @ fixed @ np.linalg.inv(fixed.T @ variance @ fixed)
-        rest = moved - gain @ (fixed.T @ moved)
-        # Exactly at the guess, not nearly.
-        rest = rest - fixed @ (fixed.T @ rest)
-        wanted.append((f"{words} of translation stayed at the guess.", rest))
-    wanted.append(("All directions of translation stayed at the guess.", np.zeros(3)))
-    for share in _SHARES:
-        part = f"Translation goes {share:.0%} of the way from the guess to the best pose."
-        wanted.append((part, share * moved))
+    """The mean, and poses between it and the guess, which are worse than the guess in fewer cases.
+
+    A translation t = (I + c V / v)⁻¹ μ of a caution c is the mean of N(μ, V) with a further prior
+    about the guess, of the variance v / c where v is the mean of V's: what is least certain stays
+    nearest to the guess. The rotation is what belongs to that translation, or a share of it.
+    """
+    V, moved = covariance[3:, 3:], mean[3:]
     found = []
-    for note, translation in wanted:
-        error = turn_to(posterior, view, mean, covariance, translation) if note else mean
-        risk = _risks(error, mean, covariance, view.metric)
-        found.append(Candidate(error=error, note=note, risk=risk))
+    for caution in _CAUTIONS:
+        if np.isinf(caution):
+            translation = np.zeros(3)
+        else:
+            translation = np.linalg.solve(np.eye(3) + 3.0 * caution / np.trace(V) * V, moved)
+        rotation = mean[:3] + covariance[:3, 3:] @ np.linalg.solve(V, translation - moved)
+        for share in _ROTATION_SHARES:
+            error = np.concatenate([share * rotation, translation])
+            risk = _risks(error, mean, covariance, metric)
+            note = _words_of_shares(_length_ratio(translation, moved), float(share))
+            found.append(Candidate(error=error, note=note, risk=risk))
     return found
 
 
-def _step_basis_within(view: SceneView, posterior: PosePosterior, free: FloatArray) -> FloatArray:
-    """(6, k) steps of the finest level within the span of ``free`` (6, k)."""
-    sigma = view.levels[-1].sigma_rad
-    within = free.T @ (view.metric / sigma**2 + posterior.precision) @ free
-    values, vectors = np.linalg.eigh(within)
-    basis: FloatArray = free @ (vectors / np.sqrt(values))
-    return basis
+def _length_ratio(part: FloatArray, whole: FloatArray) -> float:
+    return float(np.linalg.norm(part) / max(float(np.linalg.norm(whole)), 1e-300))
+
+
+def _words_of_shares(translation: float, rotation: float) -> str:
+    """How much of the way from the guess to the best pose a candidate goes."""
+    if translation >= 1.0 and rotation >= 1.0:
+        return ""
+    if translation <= 0.0:
+        return f"Translation stays at the guess; rotation goes {rotation:.0%} of the way."
+    return f"Translation goes {translation:.0%} and rotation {rotation:.0%} of the way."
+
+
+def _measures(metric: FloatArray) -> list[tuple[str, FloatArray]]:
+    """What a pose may be worse in: names, and (6, 6) squared distances."""
+    rotation, translation = np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)
+    return [("image", metric), ("rotation", rotation), ("translation", translation)]
 
 
 def _risks(
     moved: FloatArray, mean: FloatArray, covariance: FloatArray, metric: FloatArray
 ) -> dict[str, float]:
-    rotation, translation = np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)
-    return {
-        name: risk_of_worse(moved, mean, covariance, by)
-        for name, by in (("image", metric), ("rotation", rotation), ("translation", translation))
-    }
+    return {name: risk_of_worse(moved, mean, covariance, by) for name, by in _measures(metric)}
 
 
 def best_candidate(
@@ -161,11 +159,21 @@ def best_candidate(
     metric: FloatArray,
     worse_risk_max: float,
 ) -> Candidate | None:
-    """The candidate nearest to the mean in the image among those that are hardly worse."""
+    """Of the candidates that are hardly worse, the one whose expected squared distance from the
+    truth is the least part of the guess's, on average in the image, in rotation and in translation.
+    """
     safe = [c for c in candidates if max(c.risk.values()) <= worse_risk_max]
     if not safe:
         return None
-    return min(safe, key=lambda candidate: squared_in_metric(candidate.error - mean, metric))
+    measures = [by for _, by in _measures(metric)]
+    guess = [squared_in_metric(mean, by) + float(np.trace(by @ covariance)) for by in measures]
+    return min(
+        safe,
+        key=lambda candidate: sum(
+            squared_in_metric(candidate.error - mean, by) / of_guess
+            for by, of_guess in zip(measures, guess, strict=True)
+        ),
+    )
 
 
 def squared_in_metric(error: FloatArray, metric: FloatArray) -> float:

@@ -6,13 +6,12 @@ import numpy as np
 from fusion_core.calibration.projection import inside_image, project_points
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
-from fusion_core.model.geometry import transform_points
+from fusion_core.model.geometry import rigid_fault, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 
 _POINTS_MIN = 300
 # The far end of any LiDAR's range is 500 m.
 _RANGE_MAX_M = 1000.0
-_RIGID_TOLERANCE = 1e-3
 _WITHOUT_INTENSITY = "edges alone were compared: give a cloud with intensity to be surer."
 
 
@@ -71,13 +70,9 @@ def require_image(grey: ByteArray, intrinsics: CameraIntrinsics) -> None:
 
 
 def require_rigid(T_guess: FloatArray) -> None:
-    if T_guess.shape != (4, 4) or not np.isfinite(T_guess).all():
-        raise CalibrationFailed("The guess must be (4, 4) and finite.")
-    rotation = T_guess[:3, :3]
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0.0:
+    if fault := rigid_fault(T_guess):
         raise CalibrationFailed(
-            f"The guess is no rigid transform: its rotation is off by {off:.2g}.",
+            f"The guess is no rigid transform: {fault}.",
             advice="Give a rotation matrix with determinant 1.",
         )
 

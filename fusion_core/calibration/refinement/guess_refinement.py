@@ -16,12 +16,15 @@ found by:
 3. by its covariance, which is what parts of the image disagree by and a bias that they share, the
    truth is hardly nearer to the guess than to it: in the image, in rotation, and in translation.
 
-The bias is that of edges that lie anywhere between two beams. Directions of translation that fail
-the third stay at the guess, or go a part of the way: one image shows little of a move along the
-view, and of far scenes little of any. Where all fail, the guess is kept.
+The bias is what the scanner's angles, the camera's model and the instants of both have wrong, of
+which all parts of one scene tell alike; without a better knowledge, as much as where an edge lies
+between two beams. What fails the third goes a part of the way, least of it in the directions that
+are least certain: one image shows little of a move along the view, and of far scenes little of any.
+Where all fail, the guess is kept.
 """
 
 from dataclasses import dataclass, field
+from math import sqrt
 
 import numpy as np
 
@@ -99,6 +102,14 @@ class GuessRefinementSettings(StageSettings):
     )
     worse_risk_max: float = setting(
         0.02, "Greatest probability that the result is worse than the guess", ge=1e-6, le=0.5
+    )
+    bearing_bias_sd_beams: float = setting(
+        1.0 / sqrt(12.0),
+        "How far off the cloud's bearings may be in the image in a way that one scene does not "
+        "show: standard deviation, in angles between neighbouring beams",
+        unit="beams",
+        ge=0.0,
+        le=10.0,
     )
     points_max: int = setting(
         60_000,
@@ -205,18 +216,18 @@ def refine_from_guess(
         [_search_without(posterior, view, part, first, error, steps) for part in parts]
     )
     gains = held_out_gains(view, T_guess, results, parts)
-    bias = bearing_bias(view.metric, view.cloud.spacing_rad)
+    bias = bearing_bias(view.metric, settings.bearing_bias_sd_beams * view.cloud.spacing_rad)
     gain, covariance = shape.posterior(precision, posterior.weight, bias)
     # Both are there: the slopes of the evidence see the parts' disagreement near the result, the
     # jackknife also that of a result which jumps where a part is missing.
     covariance = covariance + gain @ jackknife_covariance(results) @ gain.T
-    error = turn_to(posterior, view, gain @ error, covariance, (gain @ error)[3:])
+    error = turn_to(posterior, view, gain @ error)
 
     rival = rival_odds(posterior, from_guess, np.array(found)[~agrees], first)
     reason = find_objection(gains, rival, settings.worse_risk_max)
     chosen = None
     if not reason:
-        candidates = make_candidates(posterior, view, error, covariance)
+        candidates = make_candidates(error, covariance, view.metric)
         chosen = best_candidate(candidates, error, covariance, view.metric, settings.worse_risk_max)
         if chosen is None:
             reason = describe_risk(candidates, error, covariance, view)

@@ -103,14 +103,14 @@ def evidence_shape(
     )
 
 
-def bearing_bias(metric: FloatArray, spacing_rad: float) -> FloatArray:
-    """(6, 6) covariance of the pose by a bias that all bearings share.
+def bearing_bias(metric: FloatArray, sd_rad: float) -> FloatArray:
+    """(6, 6) covariance of the pose by errors of bearings that all parts of a scene share.
 
-    ``metric``: (6, 6) M, the mean square by which an error moves the image. Between two beams
-    ``spacing_rad`` apart an edge lies anywhere, which has the variance ``spacing_rad``² / 12; a
-    pattern of such errors that looks like an error of the pose moves the image by no more.
+    ``metric``: (6, 6) M, the mean square by which an error of the pose moves the image. Errors of
+    the scanner's angles or the camera's model may look like any error of the pose; those move the
+    image by ``sd_rad``.
     """
-    return np.asarray(np.linalg.inv(metric) * (spacing_rad**2 / 12.0), dtype=np.float64)
+    return np.asarray(np.linalg.inv(metric) * sd_rad**2, dtype=np.float64)
 
 
 def jackknife_covariance(left_out: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.geometry import invert_transform, make_transform
+from fusion_core.model.geometry import invert_transform, make_transform, rigid_fault
 from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.names import printable
 from fusion_core.recordings.calibration_files.document import (
@@ -48,8 +48,6 @@ _ADVICE = (
     "Write T_camera_lidar (4 x 4), or R (3 x 3) and t (3, in metres), which map the LiDAR's points "
     "to the camera's optical frame."
 )
-# Rotations written with four decimals are off by less.
-_ROTATION_TOLERANCE = 1e-3
 # Covariances written with four digits are off by less.
 _COVARIANCE_TOLERANCE = 1e-3
 # No robot carries sensors this far apart: such a length is in millimetres.
@@ -152,15 +150,9 @@ def _kitti_transform(table: Mapping[str, Any], key: str, path: Path) -> FloatArr
 
 
 def _require_rigid(T: FloatArray, name: str, path: Path, where: str) -> None:
-    rotation = T[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-        determinant = float(np.linalg.det(rotation))
-    off = max(off, float(np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max()))
-    if not off <= _ROTATION_TOLERANCE or determinant < 0.0:
+    if fault := rigid_fault(T):
         raise SettingsError(
-            f"{where}{name} is no rigid transform: it is off by {off:.2g}, its determinant is "
-            f"{determinant:.3g}.",
+            f"{where}{name} is no rigid transform: {fault}.",
             file=path,
             advice=_ADVICE,
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import POSITION_MAX_M
+from fusion_core.model.geometry import POSITION_MAX_M, rigid_fault
 from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -47,8 +47,6 @@ _FRAMES_PER_S = 30
 
 _SEVEN_SCENES_NAME = re.compile(r"frame-(\d{6})\.(depth\.png|color\.(?:png|jpg)|pose\.txt)$")
 _NUMBERED_IMAGE = re.compile(r"(\d{1,12})\.(png|jpg|jpeg)$", re.IGNORECASE)
-# A pose is rigid if its rotation's columns are orthonormal to this; text files round.
-_RIGID_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,16 +239,9 @@ def _pose(poses: Mapping[int, Path | FloatArray], number: int, stamp_ns: int) ->
         where = str(source)
     else:
         matrix, where = source, f"the pose of frame {number}"
-    rotation = matrix[:3, :3]
-    rigid = (
-        np.isfinite(matrix).all()
-        and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])
-        and np.allclose(rotation.T @ rotation, np.eye(3), atol=_RIGID_TOLERANCE)
-        and np.linalg.det(rotation) > 0.0
-    )
-    if not rigid:
+    if fault := rigid_fault(matrix):
         raise RecordingError(
-            f"{where} is not a rigid transform: {matrix.tolist()}.",
+            f"{where} is not a rigid transform: {fault}.",
             advice="Tracking was lost there; the frame has no pose.",
         )
     if np.abs(matrix[:3, 3]).max() > POSITION_MAX_M:

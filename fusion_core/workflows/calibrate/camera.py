@@ -33,27 +33,20 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import PointCloud
 from fusion_core.workflows.calibrate.camera_input import CameraInput, read_camera_input
 from fusion_core.workflows.calibrate.camera_settings import CameraSettings, camera_settings
+from fusion_core.workflows.calibrate.lidar import LidarOptions
 from fusion_core.workflows.calibrate.result_files import require_result_apart, write_result
-from fusion_core.workflows.fuse.settings import PresetName
 
 _OVERLAY_POINTS = 400_000
 _FIGURES = ("matches", "patches", "reprojection", "overlay")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions:
-    """``intrinsics_file``: None to take those of the recording. ``cloud``: where to write the
-    coloured cloud (.ply or .pcd), None not to. ``points``, ``joint``: of a recording, None to find
-    them."""
+class CameraOptions(LidarOptions):
+    """Those of ``calibrate lidar`` are for the recording of a turn; ``cloud`` is the coloured one.
+    ``intrinsics_file``: None to take those of the recording."""
 
-    preset: PresetName = "default"
-    settings_file: Path | None = None
-    seed: int | None = None
     intrinsics_file: Path | None = None
     guess_file: Path | None = None
-    cloud: Path | None = None
-    points: str | None = None
-    joint: str | None = None
 
 
 def calibrate_camera(
