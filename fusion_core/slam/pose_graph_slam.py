@@ -157,9 +157,10 @@ def pose_graph_slam(
             observer(_make_view(stage, stamps_ns, poses_map_node, loops))
 
     # Global SLAM: constraints (V.A), loops by branch and bound (V.B), eq. SPA (V.A).
+    steps = _odometry_edges(local, settings.graph)
     closed = close_loops(
         local,
-        _odometry_edges(local, settings.graph),
+        steps,
         settings.loops,
         settings.graph,
         progress,
@@ -181,7 +182,7 @@ def pose_graph_slam(
         local.node_points_m,
         local.stamps_ns[local.keyframes],
         closed.is_connected,
-        (settings.graph.local_sigma_m, settings.graph.local_sigma_rad),
+        np.array([step.information for step in steps]).reshape(-1, 3, 3),
         settings.surface_adjustment,
         odometries,
         progress,

@@ -107,7 +107,7 @@ def adjust_to_surfaces(
     keyframe_points_m: Sequence[FloatArray],
     stamps_ns: IntArray,
     is_connected: BoolArray,
-    local_sigmas: tuple[float, float],
+    steps_information: FloatArray,
     settings: SurfaceAdjustmentSettings,
     odometries: Sequence[OdometryTrajectory] = (),
     progress: Progress = silent,
@@ -115,8 +115,8 @@ def adjust_to_surfaces(
     """Adjust (K, 3) poses; the first one stays.
 
     ``keyframe_points_m``: K arrays (n, 2) in the frame of each. ``stamps_ns``: (K,).
-    ``is_connected``: (K,) False keeps its pose and is no part of the map. ``local_sigmas``: metres
-    and radians of the graph's step from each keyframe to the next. ``odometries``: that share no
+    ``is_connected``: (K,) False keeps its pose and is no part of the map. ``steps_information``:
+    (K - 1, 3, 3) of the graph's step from each keyframe to the next. ``odometries``: that share no
     measurement with the points.
     """
     taken = np.flatnonzero(is_connected)
@@ -128,7 +128,7 @@ def adjust_to_surfaces(
         np.arange(taken.size), [len(keyframe_points_m[node]) for node in taken.tolist()]
     )
     poses = poses_map_node[taken].copy()
-    steps = [_graph_steps(poses, local_sigmas)]
+    steps = [_graph_steps(poses, taken, steps_information)]
     steps += [_odometry_steps(track, stamps_ns[taken]) for track in odometries]
     scales, factors = [1.0] * len(steps), [1.0] * len(steps)
     is_adjusted = False
@@ -159,14 +159,14 @@ def adjust_to_surfaces(
     )
 
 
-def _graph_steps(poses: FloatArray, sigmas: tuple[float, float]) -> _Steps:
-    count = len(poses) - 1
-    information: FloatArray = np.diag(np.array([sigmas[0], sigmas[0], sigmas[1]]) ** -2.0)
+def _graph_steps(poses: FloatArray, taken: IntArray, information: FloatArray) -> _Steps:
+    """The steps as they are between keyframes (n,), ``taken``, that follow each other."""
+    first = np.flatnonzero(np.diff(taken) == 1)
     return _Steps(
-        first=np.arange(count),
-        second=np.arange(count) + 1,
-        measured=relative_pose(poses[:-1], poses[1:]),
-        information=np.repeat(information[np.newaxis], count, axis=0),
+        first=first,
+        second=first + 1,
+        measured=relative_pose(poses[first], poses[first + 1]),
+        information=information[taken[first]],
         scale_sigma=0.0,
     )
 

@@ -24,7 +24,8 @@ ROOM_M = (6.0, 4.0)
 # A panel of 2 cm that is seen from both sides.
 PANEL_X_M, PANEL_M = (2.99, 3.01), (1.2, 2.8)
 COUNT = 40
-LOCAL = (0.03, 0.01)
+# Of a step of the graph: 3 cm and 0.01 rad.
+LOCAL = np.diag(np.array([0.03, 0.03, 0.01]) ** -2.0)
 SETTINGS = SurfaceAdjustmentSettings()
 
 
@@ -90,8 +91,9 @@ def scene(seed=5):
 
 def adjust(start, points, odometries=(), settings=SETTINGS, connected=None):
     connected = np.ones(len(start), np.bool_) if connected is None else connected
+    steps = np.repeat(LOCAL[np.newaxis], len(start) - 1, axis=0)
     return adjust_to_surfaces(
-        start, points, stamps_ns()[: len(start)], connected, LOCAL, settings, odometries
+        start, points, stamps_ns()[: len(start)], connected, steps, settings, odometries
     )
 
 
