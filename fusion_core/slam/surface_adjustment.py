@@ -22,8 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import splu
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.planar_poses import relative_pose
@@ -212,6 +210,8 @@ class _System:
         node_of: IntArray,
         settings: SurfaceAdjustmentSettings,
     ) -> None:
+        from scipy.sparse import csr_array, diags_array
+
         self._poses = poses
         origins_m = poses[node_of, :2]
         c, s = np.cos(poses[node_of, 2]), np.sin(poses[node_of, 2])
@@ -257,6 +257,9 @@ class _System:
 
     def solve(self, kinds: int) -> tuple[FloatArray, list[float]]:
         """The poses after the step, and what it adds to the scale of each kind of steps."""
+        from scipy.sparse import csc_array, diags_array
+        from scipy.sparse.linalg import splu
+
         poses, inner = self._poses, len(self._slope)
         size = inner + kinds
         slope = np.concatenate([self._slope, np.zeros(kinds)])

@@ -9,7 +9,6 @@ surfaces; one line for both would draw the robot towards it from either side.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.robust import NORMAL_MEDIAN_ABS
@@ -92,6 +91,8 @@ def find_surface_elements(
     points_in_map_m: FloatArray, settings: SurfaceElementSettings
 ) -> SurfaceElements:
     """The elements of (P, 2) returns, those with most returns first; none on one another."""
+    from scipy.spatial import cKDTree
+
     side_m = settings.radius_m * 2.0 / 3.0
     cells = np.floor(points_in_map_m / side_m).astype(np.int64)
     _, cell_of, counts = np.unique(
@@ -138,6 +139,8 @@ def associate_returns(
 ) -> AssociatedReturns:
     """The returns that lie on an element. ``points_in_map_m``: (P, 2), ``origins_in_map_m``: (P, 2)
     where the LiDAR stood. At least one element."""
+    from scipy.spatial import cKDTree
+
     tried = min(_ELEMENTS_TRIED, len(elements))
     reach_m = float(np.hypot(settings.radius_m, settings.distance_max_m))
     away_m, found = cKDTree(elements.centres_m).query(

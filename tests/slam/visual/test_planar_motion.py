@@ -53,6 +53,7 @@ def result(lost=()):
             for k in lost
         ),
         jumps=(),
+        doubtful=(),
         refused_loops=(),
         seconds={},
     )
