@@ -11,7 +11,7 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.depth_surface import DepthSurface
+from fusion_core.slam.visual.depth_surface import DepthSurface, find_block
 from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
 
 # Iterations, and how many standard deviations a pair may be off: wide for the start's error first.
@@ -96,15 +96,8 @@ def _align(
         g[:] = 0.0
         squares, count = 0.0, 0
         for k in range(len(points)):
-            for i in range(3):
-                p[i] = T[i, 3]
-                for j in range(3):
-                    p[i] += T[i, j] * points[k, j]
-            if p[2] < 0.01:
-                continue
-            column = int(np.rint(camera[0] * p[0] / p[2] + camera[2]))
-            row = int(np.rint(camera[1] * p[1] / p[2] + camera[3]))
-            if row < 0 or column < 0 or row >= height or column >= width:
+            row, column = find_block(points[k], T, camera, height, width, p)
+            if row < 0:
                 continue
             n, q = target_normals[row, column], target_points[row, column]
             if np.isnan(n[0]):

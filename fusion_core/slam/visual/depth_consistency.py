@@ -14,7 +14,7 @@ from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler
+from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler, find_block
 from fusion_core.slam.visual.local_map import LocalMap
 
 # A block contradicts where it lies so many standard deviations before the other surface.
@@ -148,15 +148,8 @@ def _count_before(
     for k in range(len(points)):
         if np.isnan(points[k, 2]):
             continue
-        for i in range(3):
-            p[i] = T[i, 3]
-            for j in range(3):
-                p[i] += T[i, j] * points[k, j]
-        if p[2] < 0.01:
-            continue
-        column = int(np.rint(camera[0] * p[0] / p[2] + camera[2]))
-        row = int(np.rint(camera[1] * p[1] / p[2] + camera[3]))
-        if row < 0 or column < 0 or row >= height or column >= width:
+        row, column = find_block(points[k], T, camera, height, width, p)
+        if row < 0:
             continue
         n, q = target_normals[row, column], target_points[row, column]
         if np.isnan(n[0]):

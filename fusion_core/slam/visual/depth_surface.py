@@ -18,6 +18,8 @@ _COVERED_MIN = 0.5
 _EDGE_RATIO = 0.05
 # Blocks to either side over which a normal is taken: the noise of one block's depth would turn it.
 _NORMAL_BLOCKS = 2
+# What is nearer than this before a camera, or behind it, is in no image.
+_NEAREST_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,6 +110,30 @@ class SurfaceSampler:
             borderValue=float("nan"),
         )
         return np.asarray(straight, np.float32)
+
+
+@compiled(nogil=True)
+def find_block(
+    point: FloatArray,
+    T: FloatArray,
+    camera: FloatArray,
+    height: int,
+    width: int,
+    moved: FloatArray,
+) -> tuple[int, int]:
+    """Row and column of the block of another surface that shows a point, (3,), -1 where none does.
+    ``moved`` becomes the point there, by ``T``, (4, 4)."""
+    for i in range(3):
+        moved[i] = T[i, 3]
+        for j in range(3):
+            moved[i] += T[i, j] * point[j]
+    if moved[2] < _NEAREST_M:
+        return -1, -1
+    column = int(np.rint(camera[0] * moved[0] / moved[2] + camera[2]))
+    row = int(np.rint(camera[1] * moved[1] / moved[2] + camera[3]))
+    if row < 0 or column < 0 or row >= height or column >= width:
+        return -1, -1
+    return row, column
 
 
 @compiled(nogil=True)
