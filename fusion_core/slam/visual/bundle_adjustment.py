@@ -11,7 +11,8 @@ import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL, CHI2_POSE
+from fusion_core.slam.visual.alignment_factors import add_alignments, alignment_cost
+from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
 from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
 from fusion_core.slam.visual.visual_map import DepthAlignment
 
@@ -181,99 +182,6 @@ def _cost(
 
 
 @compiled(nogil=True)
-def _alignment_residual(T_first: FloatArray, T_second: FloatArray, T: FloatArray) -> FloatArray:
-    """(6,) the small motion from T, (4, 4) T_second_first, to what the poses say; to first order,
-    as a motion that an alignment measures is small."""
-    D = multiply_transforms(multiply_transforms(T_second, _inverted(T_first)), _inverted(T))
-    r = np.empty(6)
-    r[0] = 0.5 * (D[2, 1] - D[1, 2])
-    r[1] = 0.5 * (D[0, 2] - D[2, 0])
-    r[2] = 0.5 * (D[1, 0] - D[0, 1])
-    r[3] = D[0, 3] - 0.5 * (r[1] * D[2, 3] - r[2] * D[1, 3])
-    r[4] = D[1, 3] - 0.5 * (r[2] * D[0, 3] - r[0] * D[2, 3])
-    r[5] = D[2, 3] - 0.5 * (r[0] * D[1, 3] - r[1] * D[0, 3])
-    return r
-
-
-@compiled(nogil=True)
-def _alignment_weight(chi2: float) -> float:
-    """Huber."""
-    return 1.0 if chi2 <= CHI2_POSE else np.sqrt(CHI2_POSE / chi2)
-
-
-@compiled(nogil=True)
-def _alignment_cost(
-    poses: FloatArray, pairs: IntArray, T_second_first: FloatArray, information: FloatArray
-) -> float:
-    total = 0.0
-    for a in range(len(pairs)):
-        r = _alignment_residual(poses[pairs[a, 0]], poses[pairs[a, 1]], T_second_first[a])
-        chi2 = 0.0
-        for i in range(6):
-            for j in range(6):
-                chi2 += r[i] * information[a, i, j] * r[j]
-        total += 0.5 * chi2 if chi2 <= CHI2_POSE else np.sqrt(CHI2_POSE * chi2) - 0.5 * CHI2_POSE
-    return total
-
-
-@compiled(nogil=True)
-def _add_alignments(
-    poses: FloatArray,
-    free: IntArray,
-    pairs: IntArray,
-    T_second_first: FloatArray,
-    information: FloatArray,
-    S: FloatArray,
-    b: FloatArray,
-) -> None:
-    """To the normal equations: the residual moves by xi_second - Ad(T_second_first) xi_first."""
-    J = np.zeros((6, 12))
-    rows = np.empty(12, np.int64)
-    for a in range(len(pairs)):
-        first, second = pairs[a, 0], pairs[a, 1]
-        r = _alignment_residual(poses[first], poses[second], T_second_first[a])
-        T = multiply_transforms(poses[second], _inverted(poses[first]))
-        J[:] = 0.0
-        for i in range(6):
-            J[i, 6 + i] = 1.0
-            rows[i] = 6 * free[first] + i if free[first] >= 0 else -1
-            rows[6 + i] = 6 * free[second] + i if free[second] >= 0 else -1
-        for j in range(3):
-            for i in range(3):
-                J[i, j] = -T[i, j]
-                J[3 + i, 3 + j] = -T[i, j]
-            # Ad(T) = [R, 0; [t]x R, R], rotation first.
-            J[3, j] = -(T[1, 3] * T[2, j] - T[2, 3] * T[1, j])
-            J[4, j] = -(T[2, 3] * T[0, j] - T[0, 3] * T[2, j])
-            J[5, j] = -(T[0, 3] * T[1, j] - T[1, 3] * T[0, j])
-        weighted = information[a] @ J
-        wr = information[a] @ r
-        chi2 = 0.0
-        for i in range(6):
-            chi2 += r[i] * wr[i]
-        weight = _alignment_weight(chi2)
-        for m in range(12):
-            if rows[m] < 0:
-                continue
-            for i in range(6):
-                b[rows[m]] += weight * J[i, m] * wr[i]
-                for n in range(12):
-                    if rows[n] >= 0:
-                        S[rows[m], rows[n]] += weight * J[i, m] * weighted[i, n]
-
-
-@compiled(nogil=True)
-def _inverted(T: FloatArray) -> FloatArray:
-    """(4, 4) of a rigid motion."""
-    inverse = np.eye(4)
-    for i in range(3):
-        for j in range(3):
-            inverse[i, j] = T[j, i]
-            inverse[i, 3] -= T[j, i] * T[j, 3]
-    return inverse
-
-
-@compiled(nogil=True)
 def _adjust(
     poses: FloatArray,
     free: IntArray,
@@ -314,7 +222,7 @@ def _adjust(
             poses, points, starts, keyframes, pixels, depths, sigmas, inlier, camera,
             inverse_depth_sigma, chi2_pixel, chi2_depth,
         )  # fmt: skip
-        cost += _alignment_cost(poses, pairs, T_second_first, information)
+        cost += alignment_cost(poses, pairs, T_second_first, information)
         if first_cost < 0.0:
             first_cost = cost
         for _ in range(iterations):
@@ -368,7 +276,7 @@ def _adjust(
                                 S0[row + i, row + j] += wj * Jp[m, j]
                             for j in range(3):
                                 cross[o, i, j] += wj * Jl[m, j]
-            _add_alignments(poses, free, pairs, T_second_first, information, S0, b0)
+            add_alignments(poses, free, pairs, T_second_first, information, S0, b0)
             accepted = False
             gain = 0.0
             while not accepted and damping <= damping_max:
@@ -434,7 +342,7 @@ def _adjust(
                     new_poses, new_points, starts, keyframes, pixels, depths, sigmas, inlier,
                     camera, inverse_depth_sigma, chi2_pixel, chi2_depth,
                 )  # fmt: skip
-                new_cost += _alignment_cost(new_poses, pairs, T_second_first, information)
+                new_cost += alignment_cost(new_poses, pairs, T_second_first, information)
                 if new_cost <= cost:
                     gain = cost - new_cost
                     poses, points, cost = new_poses, new_points, new_cost
