@@ -1,6 +1,5 @@
 """What is known of the LiDAR's motion before SLAM (Li 2022 §3)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -54,16 +53,21 @@ class MotionPrior:
 
     ``at``: interpolated poses of the LiDAR. ``tracks``: the odometry of each source at the scans'
     stamps, the fused one last; empty for recorded poses, which are used as they are.
-    ``independent``: those that share no measurement with the LiDAR's scans. ``weights``: of the
-    fusion. ``notes``: for people.
+    ``weights``: of the fusion. ``notes``: for people.
     """
 
     source: str
     at: PosePrior
     tracks: tuple[OdometryTrajectory, ...] = ()
-    independent: tuple[OdometryTrajectory, ...] = ()
     weights: FusionWeights | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def independent(self) -> tuple[OdometryTrajectory, ...]:
+        """The tracks that the LiDAR's scans take no part in. Laser odometry is the scans
+        themselves, and in the fused one they are contained."""
+        sources = self.tracks if self.weights is None else self.tracks[:-1]
+        return tuple(track for track in sources if track.name != "laser")
 
 
 def open_motion_prior(
@@ -136,14 +140,8 @@ def _single_odometry(track: OdometryTrajectory, notes: list[str]) -> MotionPrior
         source=track.name,
         at=track.pose_at,
         tracks=(track,),
-        independent=_independent([track]),
         notes=(*notes, *_track_notes(track)),
     )
-
-
-def _independent(tracks: Sequence[OdometryTrajectory]) -> tuple[OdometryTrajectory, ...]:
-    """Those that the scans take no part in; laser odometry is the scans themselves."""
-    return tuple(track for track in tracks if track.name != "laser")
 
 
 def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> MotionPrior:
@@ -166,7 +164,6 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
             source=alone.name,
             at=alone.pose_at,
             tracks=(alone,),
-            independent=_independent(tracks),
             notes=tuple(notes),
         )
     fusion = fuse_odometry(tracks, settings)
@@ -174,7 +171,6 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
         source=f"fused ({', '.join(track.name for track in tracks)})",
         at=fusion.trajectory.pose_at,
         tracks=(*tracks, fusion.trajectory),
-        independent=_independent(tracks),
         weights=fusion.weights,
         notes=(*notes, *fusion.trajectory.notes),
     )
