@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
@@ -15,11 +16,27 @@ from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRan
 from fusion_core.worker_processes import Shared, WorkerPool
 
 
+_Value = TypeVar("_Value")
+
+
 def squared(number: int) -> int:
     return number * number
 
 
-def process_of(_: int) -> int:
+def process_of(_: object) -> int:
+    return os.getpid()
+
+
+def after_one_at_home(done_at_home: Path) -> None:
+    """Let another process wait until this one has begun a task."""
+    if multiprocessing.parent_process() is None:
+        done_at_home.touch()
+    while not done_at_home.exists():
+        time.sleep(1e-3)
+
+
+def process_of_both(done_at_home: Path) -> int:
+    after_one_at_home(done_at_home)
     return os.getpid()
 
 
@@ -35,24 +52,22 @@ def refused(number: int) -> int:
     return number
 
 
-def fails_at_home(work: tuple[int, int]) -> int:
-    number, home = work
-    if os.getpid() == home:
+def fails_at_home(work: tuple[int, Path]) -> int:
+    number, done_at_home = work
+    after_one_at_home(done_at_home)
+    if multiprocessing.parent_process() is None:
         raise ExportError("at home.")
     return number
 
 
 def summed_by_both(work: tuple[Shared[list[int]], Path]) -> tuple[int, tuple[int, int]]:
-    """The sum, and which process has the value where. The other process waits for this one."""
+    """The sum, and which process has the value where."""
     values, done_at_home = work
-    if multiprocessing.parent_process() is None:
-        done_at_home.touch()
-    while not done_at_home.exists():
-        time.sleep(1e-3)
+    after_one_at_home(done_at_home)
     return sum(values.value), (os.getpid(), id(values.value))
 
 
-def itself(value: int) -> int:
+def itself(value: _Value) -> _Value:
     return value
 
 
@@ -94,33 +109,39 @@ def test_items_are_taken_no_further_ahead_than_the_workers_need(pool: WorkerPool
         assert len(taken) - done <= 4 * pool.workers
 
 
-def test_this_process_and_another_share_the_work(pool: WorkerPool) -> None:
-    # A task that only the other process can do is waited for.
-    processes = {process for _, process in pool.in_order(process_of, range(40), itself)}
+def processes_at_work(pool: WorkerPool, done_at_home: Path) -> set[int]:
+    """Of forty tasks."""
+    work = [done_at_home] * 40
+    return {process for _, process in pool.in_order(process_of_both, work, itself)}
+
+
+def test_this_process_and_another_share_the_work(pool: WorkerPool, tmp_path: Path) -> None:
+    processes = processes_at_work(pool, tmp_path / "done")
     assert len(processes) == 2
     assert os.getpid() in processes
 
 
-def test_an_error_of_this_process_waits_for_its_turn(pool: WorkerPool) -> None:
-    found = pool.in_order(fails_at_home, range(40), lambda number: (number, os.getpid()))
+def test_an_error_of_this_process_waits_for_its_turn(pool: WorkerPool, tmp_path: Path) -> None:
+    found = pool.in_order(fails_at_home, range(40), lambda number: (number, tmp_path / "done"))
     # The first are done elsewhere while this process fails at the one after them.
     assert [next(found)[1] for _ in range(4)] == [0, 1, 2, 3]
     with pytest.raises(ExportError, match="at home"):
         list(found)
 
 
-def test_after_a_restart_other_processes_do_the_work() -> None:
+def test_after_a_restart_other_processes_do_the_work(tmp_path: Path) -> None:
     with WorkerPool(2) as restarted:
-        before = {process for _, process in restarted.in_order(process_of, range(40), itself)}
+        before = processes_at_work(restarted, tmp_path / "before")
         restarted.restart("fusion_core.model.errors")
-        after = {process for _, process in restarted.in_order(process_of, range(40), itself)}
+        after = processes_at_work(restarted, tmp_path / "after")
+    assert len(before) == len(after) == 2
     assert before & after == {os.getpid()}
 
 
 def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool, tmp_path: Path) -> None:
     for values in ([1, 2, 3], [4, 5, 6]):
         work = [(pool.share(values), tmp_path / f"{sum(values)}")] * 20
-        found = [result for _, result in pool.in_order(summed_by_both, work, lambda one: one)]
+        found = [result for _, result in pool.in_order(summed_by_both, work, itself)]
         assert {total for total, _ in found} == {sum(values)}
         assert len({identity for _, identity in found}) == 2
 
