@@ -15,7 +15,6 @@ import pytest
 from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange, WorkerFailed
 from fusion_core.worker_processes import Shared, WorkerPool
 
-
 _Value = TypeVar("_Value")
 
 
