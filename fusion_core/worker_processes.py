@@ -11,7 +11,7 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from pathlib import Path
@@ -158,27 +158,29 @@ class WorkerPool:
             for item in items:
                 yield item, function(argument_of(item))
             return
-        others = self.workers - 1
+        ahead = submitted_ahead * (self.workers - 1)
         coming = iter(items)
         taken: deque[tuple[_Item, Future[_Result]]] = deque()
         is_over = False
         while not is_over or taken:
-            elsewhere = sum(not future.done() for _, future in taken)
-            if taken and taken[0][1].done():
+            may_take = not is_over and len(taken) < _TAKEN_AHEAD * self.workers
+            # What the caller does with a result takes this process, not the others: they are given
+            # their next tasks first.
+            is_for_others = may_take and sum(not future.done() for _, future in taken) < ahead
+            if not is_for_others and taken and (not may_take or taken[0][1].done()):
                 item, future = taken.popleft()
                 yield item, _result_of(future)
-            elif is_over or len(taken) >= _TAKEN_AHEAD * self.workers:
-                wait([taken[0][1]])
+                continue
+            try:
+                item = next(coming)
+            except StopIteration:
+                is_over = True
+                continue
+            argument = argument_of(item)
+            if is_for_others:
+                taken.append((item, self._submit(function, argument)))
             else:
-                try:
-                    item = next(coming)
-                except StopIteration:
-                    is_over = True
-                    continue
-                if elsewhere < submitted_ahead * others:
-                    taken.append((item, self._submit(function, argument_of(item))))
-                else:
-                    taken.append((item, _done_here(function, argument_of(item))))
+                taken.append((item, _done_here(function, argument)))
 
     def _submit(self, function: Callable[..., _Result], *values: Any) -> "Future[_Result]":
         try:
