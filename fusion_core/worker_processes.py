@@ -73,6 +73,18 @@ def _read_shared(file: Path) -> Shared[Any]:
     return Shared(_last_read[1], file)
 
 
+class _Faithful:
+    """A value that arrives in another process as it is, arrays that are read-only among it. By the
+    pool's own protocol they would arrive writable, and each compiled function that takes one would
+    be compiled once more."""
+
+    def __init__(self, value: Any) -> None:
+        self._value = value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return pickle.loads, (pickle.dumps(self._value, protocol=5),)
+
+
 class WorkerPool:
     """Processes for functions whose arguments and results can be pickled.
 
@@ -184,7 +196,7 @@ class WorkerPool:
 
     def _submit(self, function: Callable[..., _Result], *values: Any) -> "Future[_Result]":
         try:
-            return self._running().submit(function, *values)
+            return self._running().submit(_call, function, *map(_Faithful, values))
         except BrokenProcessPool as error:
             raise _died() from error
 
@@ -195,6 +207,11 @@ class WorkerPool:
                 self.workers - 1, multiprocessing.get_context("spawn"), initializer=_begin
             )
         return self._executor
+
+
+def _call(function: Callable[..., Any], *values: Any) -> Any:
+    """A task as another process does it."""
+    return _Faithful(function(*values))
 
 
 def _done_here(function: Callable[[_Argument], _Result], argument: _Argument) -> "Future[_Result]":

@@ -48,6 +48,9 @@ class FoldersThenFiles(LoadFileScheduling):
 
 
 def pytest_configure() -> None:
+    # Before numpy is imported, here and in all that is started: the cores are taken by the other
+    # tests, and OpenBLAS's threads spin while they wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What runs in the background, or beyond a terminal, ignores these, and hands that on to all
     # that the tests start.
     for number, handler in (

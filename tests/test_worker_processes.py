@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import pytest
 
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange, WorkerFailed
 from fusion_core.worker_processes import Shared, WorkerPool
 
@@ -37,6 +39,13 @@ def after_one_at_home(done_at_home: Path) -> None:
 def process_of_both(done_at_home: Path) -> int:
     after_one_at_home(done_at_home)
     return os.getpid()
+
+
+def is_writable_of_both(work: tuple[FloatArray, Path]) -> tuple[bool, int, FloatArray]:
+    """Whether the array can be written to, where, and the array."""
+    values, done_at_home = work
+    after_one_at_home(done_at_home)
+    return values.flags.writeable, os.getpid(), values
 
 
 def killed(number: int) -> int:
@@ -79,6 +88,21 @@ def pool() -> Iterator[WorkerPool]:
 def test_results_come_in_the_order_of_the_items(pool: WorkerPool) -> None:
     found = list(pool.in_order(squared, range(40), itself))
     assert found == [(number, number * number) for number in range(40)]
+
+
+def test_an_array_stays_read_only_on_its_way_there_and_back(
+    pool: WorkerPool, tmp_path: Path
+) -> None:
+    kept, free = np.arange(6.0).reshape(2, 3), np.arange(6.0)
+    kept.setflags(write=False)
+    for values, expected in ((kept, False), (free, True)):
+        processes = set()
+        work = [(values, tmp_path / f"{expected}")] * 20
+        for _, (there, process, back) in pool.in_order(is_writable_of_both, work, itself):
+            assert (there, back.flags.writeable) == (expected, expected)
+            processes.add(process)
+            np.testing.assert_array_equal(back, values)
+        assert len(processes) == 2
 
 
 def test_with_one_worker_all_is_done_here_and_when_it_is_asked_for() -> None:

@@ -107,7 +107,9 @@ def weigh_beams(
             farthest = value
     evidence = np.zeros((beams.size, 5))
     by_camera = np.full(ranges.size, np.nan)
-    by_camera[beams] = camera
+    # Each by itself: numba compiles the error message of an assignment to all for seconds.
+    for index in range(beams.size):
+        by_camera[beams[index]] = camera[index]
     for index in range(beams.size):
         beam = beams[index]
         own = ranges[beam]

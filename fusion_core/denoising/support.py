@@ -40,7 +40,9 @@ def count_beam_support(
     neighbours = np.zeros((beams.size, 2), dtype=np.int64)
     count = ranges.size
     seen_by_camera = np.full(count, np.nan)
-    seen_by_camera[beams] = camera
+    # Each by itself: numba compiles the error message of an assignment to all for seconds.
+    for index in range(beams.size):
+        seen_by_camera[beams[index]] = camera[index]
     for index in range(beams.size):
         beam = beams[index]
         own = ranges[beam]

@@ -288,8 +288,8 @@ def _adjust(
                     V = Hll[landmark].copy()
                     for i in range(3):
                         V[i, i] += damping * V[i, i] + 1e-9
-                    inverse = _inverse(V)
-                    inverses[landmark] = inverse
+                    inverse = inverses[landmark]
+                    _invert(V, inverse)
                     for o in range(first, last):
                         row = 6 * free[keyframes[o]]
                         if row < 0 or not inlier[o]:
@@ -366,9 +366,8 @@ def _adjust(
 
 
 @compiled(nogil=True)
-def _inverse(V: FloatArray) -> FloatArray:
-    """(3, 3) of a symmetric positive definite matrix, by cofactors."""
-    inverse = np.empty((3, 3))
+def _invert(V: FloatArray, inverse: FloatArray) -> None:
+    """Write the ``inverse`` of a symmetric positive definite matrix, (3, 3), by cofactors."""
     inverse[0, 0] = V[1, 1] * V[2, 2] - V[1, 2] * V[2, 1]
     inverse[0, 1] = V[0, 2] * V[2, 1] - V[0, 1] * V[2, 2]
     inverse[0, 2] = V[0, 1] * V[1, 2] - V[0, 2] * V[1, 1]
@@ -382,4 +381,3 @@ def _inverse(V: FloatArray) -> FloatArray:
     for i in range(3):
         for j in range(3):
             inverse[i, j] /= determinant
-    return inverse

@@ -56,8 +56,9 @@ class FeatureGrid:
             return np.full(len(pixels), -1, np.int64)
         free = np.ones(len(features), np.bool_) if is_free is None else is_free
         found, distances = _nearest_features(
-            np.ascontiguousarray(pixels, np.float64),
-            np.ascontiguousarray(radii_px, np.float64),
+            # Copied: for arrays that are read-only it would be compiled once more.
+            np.array(pixels, np.float64, order="C"),
+            np.array(radii_px, np.float64, order="C"),
             octaves_min,
             octaves_max,
             descriptor_words(descriptors),

@@ -13,7 +13,7 @@ from fusion_core.denoising.correspondence import (
     Correspondence,
     RowModel,
 )
-from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.robust import robust_sigma
 from fusion_core.model.sensors import LaserScan
 from fusion_core.registration.ransac import Registration
@@ -36,6 +36,10 @@ class PastedPairs:
     previous: UprightDepth | None
     correspondence: Correspondence
     camera: IntArray
+
+    def __post_init__(self) -> None:
+        read_only(self.depth_m)
+        read_only(self.camera)
 
     def part_of(self, camera: int) -> Correspondence:
         """A camera's own pairs, with the columns of its image."""

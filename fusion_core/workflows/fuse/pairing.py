@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.alignment.virtual_lidar import cut_scan
-from fusion_core.model.conventions import NS_PER_MS, Float32Array
+from fusion_core.model.conventions import NS_PER_MS, Float32Array, read_only
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import Camera
@@ -44,6 +44,9 @@ class UprightDepth:
     stamp_ns: int
     depth_m: Float32Array
 
+    def __post_init__(self) -> None:
+        read_only(self.depth_m)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FramePair:
@@ -65,6 +68,9 @@ class FramePair:
     gap_ns: int
     aligned_scan: LaserScan
     previous: UprightDepth | None = None
+
+    def __post_init__(self) -> None:
+        read_only(self.depth_m)
 
     @property
     def scan(self) -> LaserScan:

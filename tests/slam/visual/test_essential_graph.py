@@ -75,13 +75,17 @@ def moved(start, free):
 
 
 def by_scipy(start, edges, robust_scale):
+    # Once for all evaluations of the errors, of which there are thousands.
+    whitening = [np.linalg.inv(np.linalg.cholesky(edge.covariance)) for edge in edges]
+    measured = [np.linalg.inv(edge.T_first_second) for edge in edges]
+
     def errors(free):
         poses = moved(start, free)
         rows = []
-        for edge in edges:
-            found = np.linalg.inv(poses[edge.first]) @ poses[edge.second]
-            away = logarithm(np.linalg.inv(edge.T_first_second) @ found)
-            whitened = np.linalg.solve(np.linalg.cholesky(edge.covariance), away)
+        back = np.linalg.inv(poses)
+        for edge, W, T_second_first in zip(edges, whitening, measured, strict=True):
+            found = back[edge.first] @ poses[edge.second]
+            whitened = W @ logarithm(T_second_first @ found)
             if edge.is_loop and robust_scale is not None:
                 squared = robust_scale**2 * np.log1p((whitened @ whitened) / robust_scale**2)
                 whitened = whitened * np.sqrt(squared / (whitened @ whitened))
