@@ -20,6 +20,7 @@ from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_height import heights_to_try, sample_heights
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines
+from fusion_core.alignment.mount_search import is_significantly_better
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.model.conventions import FloatArray, wrap_angle
@@ -120,8 +121,13 @@ def hold_given_mount(
     if agreement < settings.min_agreement:
         # Not by the yaw of the rows, which need not follow the LiDAR's plane.
         refusal = find_refusal(problem, Mount.from_vector(values), settings, None)
-    # Far from it, the nearest optimum says nothing.
-    contradictions = (refusal,) if refusal else tuple(_offsets(free, values, sd, settings))
+    contradictions: tuple[str, ...] = ()
+    if refusal:
+        # Far from it, the nearest optimum says nothing.
+        contradictions = (refusal,)
+    elif is_significantly_better(problem, free.values, values):
+        # Else the fit has run off to a worse optimum, which says nothing either.
+        contradictions = tuple(_offsets(free, values, sd, settings))
     shown_sd, moved = np.append(sd, own.sd[CLOCK]), ""
     if within_doubt and not refusal:
         values, shown_sd = _move_within_doubt(problem, lines, own, priors, settings)

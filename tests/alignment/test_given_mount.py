@@ -1,12 +1,16 @@
 """A mount that a person gives is kept, whatever is seen; what is seen is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from fusion_core.alignment import given_mount
 from fusion_core.alignment.given_mount import given_mount_sd, hold_given_mount, mount_jacobian
+from fusion_core.alignment.in_plane_mount import InPlaneMount, fit_in_plane
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.calibration.pose_error import apply_pose_error
 from fusion_core.model.conventions import R_BODY_OPTICAL
@@ -25,11 +29,11 @@ SD = np.array([0.005, 0.01, 0.01, 0.01, 0.005])
 
 
 def hold(frames, mount: Mount, sd: np.ndarray = SD, *, within_doubt: bool = False):
-    given_mount = Mount.from_vector(np.append(mount.vector()[:5], 0.0))
+    alone = Mount.from_vector(np.append(mount.vector()[:5], 0.0))
     return hold_given_mount(
         frames,
         SETTINGS,
-        given=given_mount,
+        given=alone,
         sd=sd,
         within_doubt=within_doubt,
     )
@@ -64,6 +68,21 @@ def test_a_wrong_mount_is_kept_and_what_contradicts_it_is_said(furnished_room, o
     found = hold(drive(furnished_room, truth, 2), wrong)
     np.testing.assert_array_equal(found.mount.vector()[:5], wrong.vector()[:5])
     assert any(said in one for one in found.contradictions), found.contradictions
+
+
+def test_a_fit_that_has_run_off_to_a_worse_optimum_contradicts_nothing(
+    furnished_room, monkeypatch
+) -> None:
+    truth = random_mount(2)
+    frames = drive(furnished_room, truth, 2)
+    run_off = np.array([np.deg2rad(23.0), 0.0, 0.0, -0.8, 0.0, 0.0])
+
+    def fit_elsewhere(*given) -> InPlaneMount:
+        found = fit_in_plane(*given)
+        return replace(found, values=found.values + run_off, sd=np.full(6, 0.01))
+
+    monkeypatch.setattr(given_mount, "fit_in_plane", fit_elsewhere)
+    assert hold(frames, truth).contradictions == ()
 
 
 def test_a_mount_far_off_is_said_to_explain_nothing(furnished_room) -> None:

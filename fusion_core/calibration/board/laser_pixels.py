@@ -28,6 +28,10 @@ from fusion_core.settings import StageSettings, setting
 _PAIRS_MIN = 6
 # No 2D LiDAR reaches farther: such points are in millimetres.
 _RANGE_MAX_M = 250.0
+# A spread across a line of no more than so many deviations of the laser's noise is that noise.
+_LINE_NOISE_SD = 3.0
+# Of points on a line the spread is 0 but for rounding, as a fraction of that along it.
+_ROUNDING = 1e-9
 # Pairs in a random start: more than the four of a homography, few enough to miss the outliers.
 _DRAWN = 7
 # Rotations farther apart than this are two solutions, not one.
@@ -110,6 +114,16 @@ def calibrate_laser_pixels(
     flat = np.column_stack([points_m, np.zeros(len(points_m))])
     pairs = Pairs(flat, pixels, intrinsics)
     solutions = _solutions(pairs, settings, T_guess)
+    if solutions and _are_on_one_line(points_m, solutions[0].noise.laser_m):
+        # Their noise would be taken for a second direction.
+        flat[:, :2] = _moved_onto_line(points_m)
+        pairs = Pairs(flat, pixels, intrinsics)
+        solutions = [] if T_guess is None else _solutions(pairs, settings, T_guess)
+    if not solutions and _are_on_one_line(flat[:, :2], 0.0):
+        raise CalibrationFailed(
+            f"all {len(points_m)} laser points lie on one line, which leaves the pose open.",
+            advice="Add pairs at other distances and sides, or give --guess.",
+        )
     if not solutions:
         raise CalibrationFailed(
             f"no pose of the LiDAR explains the {len(pixels)} pairs.",
@@ -175,6 +189,21 @@ def _require_plausible(
             f" {width} x {height} that the intrinsics are for.",
             advice="Give the intrinsics of the images in which the pixels were measured.",
         )
+
+
+def _are_on_one_line(points_m: FloatArray, noise_m: float) -> bool:
+    """Whether (N, 2) points are on one line, or on one point, but for their noise."""
+    length, width = np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False)
+    by_noise = _LINE_NOISE_SD * noise_m * np.sqrt(len(points_m))
+    return bool(width <= max(by_noise, _ROUNDING * length))
+
+
+def _moved_onto_line(points_m: FloatArray) -> FloatArray:
+    """(N, 2) points at their nearest places on the line that fits them best."""
+    middle = points_m.mean(axis=0)
+    _, _, axes = np.linalg.svd(points_m - middle, full_matrices=False)
+    moved: FloatArray = middle + np.outer((points_m - middle) @ axes[0], axes[0])
+    return moved
 
 
 def _solutions(
