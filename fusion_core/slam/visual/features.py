@@ -132,14 +132,13 @@ def _first_of_cells(pixels: Float32Array, side: float) -> IntArray:
 
 def undistort_pixels(pixels: Float32Array, intrinsics: CameraIntrinsics) -> FloatArray:
     """(M, 2) the pixels as the camera matrix alone would show them."""
-    coefficients = np.array(intrinsics.distortion or (0.0,) * 4, np.float64)
+    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
     stacked = pixels.astype(np.float64)
-    if not np.any(coefficients):
+    if not np.any(coefficients) and not intrinsics.is_fisheye:
         return stacked
-    K = intrinsics.matrix
     stacked = stacked[:, np.newaxis, :]
     if intrinsics.is_fisheye:
-        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4], P=K)
+        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients, P=K)
     else:
         ideal = cv2.undistortPoints(stacked, K, coefficients, P=K)
     return np.asarray(ideal, np.float64).reshape(-1, 2)

@@ -88,7 +88,7 @@ def map_visually(
     keyframes = result.visual_map.kept_keyframes
     stamps_ns = np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64)
     T_first_keyframe = np.stack([keyframe.T_map_camera for keyframe in keyframes])
-    views = KeyframeViews(frames, stamps_ns, T_first_keyframe)
+    views = KeyframeViews(frames.at, stamps_ns, T_first_keyframe)
     progress(0, None, "looking for the floor")
     map_frame = level_map_frame(views, frames.intrinsics, T_lidar_camera)
     seconds["floor"] = time.perf_counter() - start_s
@@ -101,7 +101,7 @@ def map_visually(
 
     # Cloud, surface, octree and grid of the keyframes' images at their final poses.
     start_s = time.perf_counter()
-    views = KeyframeViews(frames, stamps_ns, map_frame.T_map_first @ T_first_keyframe)
+    views = KeyframeViews(frames.at, stamps_ns, map_frame.T_map_first @ T_first_keyframe)
     volumes: dict[str, Any] = {}
     camera_grid = None
     try:
