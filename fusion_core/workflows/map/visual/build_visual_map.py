@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.files.atomic import write_text
+from fusion_core.freed_memory import give_freed_memory_back
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MappingFailed, SettingsError
 from fusion_core.model.progress import Progress
@@ -81,6 +82,8 @@ def map_visually(
         result = visual_slam(
             frames, frames.intrinsics, settings, progress, observer, executor=executor
         )
+    # Adjusting the whole map takes several times the memory of what is kept.
+    give_freed_memory_back()
     seconds = {"color": registration_s, **result.seconds}
 
     # Level, with the floor at z = 0.
