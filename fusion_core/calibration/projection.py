@@ -12,15 +12,6 @@ from fusion_core.model.sensors import CameraIntrinsics
 _FOLD_STEPS = 2000
 
 
-def opencv_distortion(intrinsics: CameraIntrinsics) -> FloatArray:
-    """The coefficients in one of the lengths that OpenCV's functions of the model take."""
-    given = intrinsics.distortion
-    lengths = (4,) if intrinsics.is_fisheye else (4, 5, 8, 12, 14)
-    padded = np.zeros(next((n for n in lengths if n >= len(given)), lengths[-1]))
-    padded[: len(given)] = given[: padded.size]
-    return padded
-
-
 def project_points(points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics) -> FloatArray:
     """(N, 2) pixels (u, v) of (N, 3) points in the optical frame, inside the image or not.
 
@@ -35,7 +26,7 @@ def project_points(points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics)
         return pixels
     ahead = np.ascontiguousarray(points_in_camera_m[seen], np.float64).reshape(-1, 1, 3)
     K = intrinsics.matrix
-    coefficients = opencv_distortion(intrinsics)
+    coefficients = intrinsics.opencv_distortion
     none = np.zeros(3)
     if intrinsics.is_fisheye:
         projected, _ = cv2.fisheye.projectPoints(ahead, none, none, K, coefficients)
@@ -64,7 +55,7 @@ def reprojection_rms(residuals_px: FloatArray) -> float:
 @lru_cache(maxsize=16)
 def _largest_radius(intrinsics: CameraIntrinsics) -> float:
     """The tangent of the angle from the axis up to which the distortion grows with the angle."""
-    coefficients = opencv_distortion(intrinsics)
+    coefficients = intrinsics.opencv_distortion
     if not coefficients.any() and not intrinsics.is_fisheye:
         return np.inf
     if intrinsics.is_fisheye:

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from fusion_core.calibration.projection import opencv_distortion
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 
@@ -16,7 +15,7 @@ def undistort_pixels(pixels: FloatArray, intrinsics: CameraIntrinsics) -> FloatA
     given = np.ascontiguousarray(pixels, np.float64).reshape(1, -1, 2)
     if given.size == 0:
         return np.empty((0, 2))
-    K, coefficients = intrinsics.matrix, opencv_distortion(intrinsics)
+    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
     if intrinsics.is_fisheye:
         rays = cv2.fisheye.undistortPoints(given, K, coefficients, criteria=_UNTIL)
     else:

@@ -153,6 +153,31 @@ class CameraIntrinsics:
         """Whether the distortion is that of OpenCV's fisheye model."""
         return self.distortion_model in FISHEYE_MODELS
 
+    @property
+    def opencv_distortion(self) -> FloatArray:
+        """The coefficients in one of the lengths that OpenCV's functions of the model take."""
+        lengths = (4,) if self.is_fisheye else (4, 5, 8, 12, 14)
+        padded = np.zeros(next((n for n in lengths if n >= len(self.distortion)), lengths[-1]))
+        padded[: len(self.distortion)] = self.distortion[: padded.size]
+        return padded
+
+    def scaled_to(self, shape: tuple[int, int]) -> "CameraIntrinsics":
+        """The same camera with images of ``shape`` (height, width).
+
+        Raises ValueError as the constructor does.
+        """
+        height, width = shape
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=across * self.fx,
+            fy=down * self.fy,
+            cx=across * (self.cx + 0.5) - 0.5,
+            cy=down * (self.cy + 0.5) - 0.5,
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthImage:

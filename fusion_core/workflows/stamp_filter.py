@@ -33,16 +33,17 @@ class StampFilter:
 
     def is_in_order(self, topic: str, index: int) -> bool:
         """Whether the ``index``-th message of a topic is in order."""
-        return bool(self._in_order(topic)[index])
+        return bool(self.in_order(topic)[index])
 
-    def _in_order(self, topic: str) -> BoolArray:
+    def in_order(self, topic: str) -> BoolArray:
+        """(count,) which messages of a topic are in order."""
         if topic not in self._kept:
             self._kept[topic] = self._find_in_order(topic)
         return self._kept[topic]
 
     def require_most_in_order(self, topic: str) -> None:
         """Raise RecordingError where more than half of a topic's messages are left out."""
-        kept = self._in_order(topic)
+        kept = self.in_order(topic)
         left_out = np.count_nonzero(~kept)
         if 2 * left_out > kept.size:
             raise RecordingError(

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from fusion_core.calibration.board.pose_minimiser import minimise_pose
-from fusion_core.calibration.projection import opencv_distortion, reprojection_rms
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.calibration.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import make_transform, transform_points
@@ -74,7 +74,7 @@ def project_with_jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 2) pixels and (N, 2, 3) their derivatives by the point, both by OpenCV's models."""
     given = np.ascontiguousarray(points_in_camera_m, np.float64).reshape(-1, 1, 3)
-    K, coefficients, none = intrinsics.matrix, opencv_distortion(intrinsics), np.zeros(3)
+    K, coefficients, none = intrinsics.matrix, intrinsics.opencv_distortion, np.zeros(3)
     if intrinsics.is_fisheye:
         pixels, jacobian = cv2.fisheye.projectPoints(given, none, none, K, coefficients)
         by_translation = jacobian[:, 11:14]

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from fusion_core.compiled import compiled
+from fusion_core.mapping.depth_camera import StraightImages, depth_intrinsics
 from fusion_core.model.conventions import Float32Array, FloatArray, read_only
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual.pinhole import camera_parameters
 
 # Blocks across an image: of 4 pixels of a VGA image, about the window in which a structured-light
 # camera correlates its pattern, so that neighbouring blocks err on their own.
@@ -39,18 +40,18 @@ class DepthSurface:
 class SurfaceSampler:
     """Reduces a camera's depth images to blocks, and makes surfaces of them.
 
-    ``intrinsics``: of the grey images; depth images show the same in their own size.
+    ``intrinsics``: of the grey images; depth images show the same in their own size. Both methods
+    raise MappingFailed where the camera cannot have images of that size.
     """
 
     def __init__(self, intrinsics: CameraIntrinsics) -> None:
         self._intrinsics = intrinsics
-        # By the shape of depth images: the stored pixel under each pixel without distortion.
-        self._sources: dict[tuple[int, int], tuple[Float32Array, Float32Array]] = {}
+        # By the shape of depth images.
+        self._straight_images: dict[tuple[int, int], StraightImages] = {}
 
     def reduce(self, depth_m: Float32Array) -> Float32Array:
         """(h, w) mean depth of each block; NaN where it is mostly missing or shows an edge."""
-        if any(self._intrinsics.distortion):
-            depth_m = self._without_distortion(depth_m)
+        depth_m = self._straight(depth_m.shape).depth(depth_m)
         side = max(1, round(depth_m.shape[1] / _BLOCKS_ACROSS))
         means: Float32Array = _block_means(depth_m, side, _COVERED_MIN, _EDGE_RATIO)
         return means
@@ -58,7 +59,7 @@ class SurfaceSampler:
     def surface(self, reduced_m: Float32Array) -> DepthSurface:
         """Of depths by ``reduce``."""
         height, width = reduced_m.shape
-        camera = self._camera_of(width, height)
+        camera = camera_parameters(depth_intrinsics(self._intrinsics, (height, width)))
         v, u = np.mgrid[:height, :width].astype(np.float64)
         z = reduced_m.astype(np.float64)
         points_m = np.stack(
@@ -70,46 +71,10 @@ class SurfaceSampler:
             camera=camera,
         )
 
-    def _camera_of(self, width: int, height: int) -> FloatArray:
-        """(4,) of images of this size; pixel centres are integers."""
-        given = self._intrinsics
-        across, down = width / given.width, height / given.height
-        return np.array(
-            [
-                across * given.fx,
-                down * given.fy,
-                across * (given.cx + 0.5) - 0.5,
-                down * (given.cy + 0.5) - 0.5,
-            ]
-        )
-
-    def _without_distortion(self, depth_m: Float32Array) -> Float32Array:
-        height, width = depth_m.shape
-        if (height, width) not in self._sources:
-            fx, fy, cx, cy = self._camera_of(width, height)
-            K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-            coefficients = np.array(self._intrinsics.distortion)
-            if self._intrinsics.is_fisheye:
-                maps = cv2.fisheye.initUndistortRectifyMap(
-                    K, coefficients[:4], np.eye(3), K, (width, height), cv2.CV_32FC1
-                )
-            else:
-                maps = cv2.initUndistortRectifyMap(
-                    K, coefficients, np.eye(3), K, (width, height), cv2.CV_32FC1
-                )
-            self._sources[height, width] = (
-                np.asarray(maps[0], np.float32),
-                np.asarray(maps[1], np.float32),
-            )
-        # A depth between two surfaces would be neither: the nearest pixel.
-        straight = cv2.remap(
-            depth_m,
-            *self._sources[height, width],
-            cv2.INTER_NEAREST,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
-        )
-        return np.asarray(straight, np.float32)
+    def _straight(self, shape: tuple[int, int]) -> StraightImages:
+        if shape not in self._straight_images:
+            self._straight_images[shape] = StraightImages(depth_intrinsics(self._intrinsics, shape))
+        return self._straight_images[shape]
 
 
 @compiled(nogil=True)

@@ -8,7 +8,7 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.feature_depths import sample_depths_m
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.visual_map import FrameFeatures
+from fusion_core.slam.visual.visual_map import FrameFeatures, no_features
 
 SCALE_FACTOR = 1.2
 """Between neighbouring levels of the pyramid, as in ORB-SLAM2."""
@@ -67,13 +67,7 @@ class FeatureExtractor:
         kept = self._spread_evenly(pixels, responses, octaves)
         keypoints, descriptors = self._orb.compute(frame.gray, [found[i] for i in kept.tolist()])
         if descriptors is None or not keypoints:
-            return FrameFeatures(
-                pixels=np.empty((0, 2)),
-                depths_m=np.empty(0),
-                octaves=np.empty(0, np.int64),
-                angles_deg=np.empty(0, np.float32),
-                descriptors=np.empty((0, 32), np.uint8),
-            )
+            return no_features()
         pixels = np.array([point.pt for point in keypoints], np.float32)
         depths_m = sample_depths_m(frame, pixels)
         is_usable = (depths_m > self._settings.depth_min_m) & (
@@ -132,14 +126,13 @@ def _first_of_cells(pixels: Float32Array, side: float) -> IntArray:
 
 def undistort_pixels(pixels: Float32Array, intrinsics: CameraIntrinsics) -> FloatArray:
     """(M, 2) the pixels as the camera matrix alone would show them."""
-    coefficients = np.array(intrinsics.distortion or (0.0,) * 4, np.float64)
+    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
     stacked = pixels.astype(np.float64)
-    if not np.any(coefficients):
+    if not np.any(coefficients) and not intrinsics.is_fisheye:
         return stacked
-    K = intrinsics.matrix
     stacked = stacked[:, np.newaxis, :]
     if intrinsics.is_fisheye:
-        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4], P=K)
+        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients, P=K)
     else:
         ideal = cv2.undistortPoints(stacked, K, coefficients, P=K)
     return np.asarray(ideal, np.float64).reshape(-1, 2)

@@ -1,8 +1,8 @@
 """What a new keyframe does to the map around it (ORB-SLAM, Mur-Artal 2015, §VI).
 
-Landmarks seen by it alone are dropped after some keyframes; it and its neighbours exchange the
-landmarks that they see; their poses and landmarks are adjusted together; keyframes that add nothing
-are culled.
+Landmarks that few keyframes see, or few of those that should, are culled; it and its neighbours
+exchange the landmarks that they see; their poses and landmarks are adjusted together; keyframes
+that add nothing are culled.
 """
 
 import numpy as np
@@ -23,8 +23,11 @@ from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
 from fusion_core.slam.visual.visual_map import NO_LANDMARK, DepthAlignment, Keyframe, VisualMap
 
-# A landmark must be seen by a second keyframe while this many more are made (ORB-SLAM2: three).
+# A landmark must be seen by so many keyframes when this many more have been made, and found in so
+# large a part of those that should show it (ORB-SLAM: three, two and a quarter, of images).
 _TRIAL_KEYFRAMES = 3
+_OBSERVERS_MIN = 3
+_FOUND_RATIO_MIN = 0.25
 # Features within this of a landmark's projection, on the finest level, may see it.
 _FUSE_RADIUS_PX = 3.0
 # A keyframe is redundant where so many of its landmarks are seen by three others as finely.
@@ -83,23 +86,50 @@ class LocalMapping:
 
     def include(self, visual_map: VisualMap, index: int, made: tuple[int, int]) -> None:
         """Work in a new keyframe that has made the landmarks ``made[0]`` to ``made[1]`` - 1."""
-        self._cull_landmarks(visual_map, made)
+        self._cull_landmarks_on_trial(visual_map, made)
         self._exchange_landmarks(visual_map, visual_map.keyframes[index])
         self._align_depths(visual_map, visual_map.keyframes[index])
         local = self._local_keyframes(visual_map, index)
         self._adjust(visual_map, local)
+        self._cull_landmarks_not_found(visual_map, visual_map.keyframes[index], local)
         seen = visual_map.keyframes[index].landmarks
         update_descriptors(visual_map, seen[seen != NO_LANDMARK])
         if self._settings.cull_keyframes:
             self._cull_keyframes(visual_map, index, local)
 
-    def _cull_landmarks(self, visual_map: VisualMap, made: tuple[int, int]) -> None:
+    def follow_rows(self, rows: IntArray) -> None:
+        """Take over new numbers of the landmarks, by ``VisualMap.drop_culled_landmarks``."""
+        kept_before = np.concatenate([[0], np.cumsum(rows[:-1] != NO_LANDMARK)])
+        self._made = [(int(kept_before[a]), int(kept_before[b])) for a, b in self._made]
+
+    def _cull_landmarks_on_trial(self, visual_map: VisualMap, made: tuple[int, int]) -> None:
         self._made.append(made)
         if len(self._made) <= _TRIAL_KEYFRAMES:
             return
         rows = np.arange(*self._made.pop(0))
-        lonely = rows[visual_map.observer_counts(rows) < 2]
-        visual_map.cull_landmarks(lonely)
+        visual_map.cull_landmarks(rows[visual_map.observer_counts(rows) < _OBSERVERS_MIN])
+
+    def _cull_landmarks_not_found(
+        self, visual_map: VisualMap, keyframe: Keyframe, local: list[int]
+    ) -> None:
+        """Count what the new keyframe should show of the local landmarks, and what it does."""
+        views = landmark_views(visual_map, local)
+        expected = expect_views(
+            views,
+            invert_transform(keyframe.T_map_camera),
+            self._camera,
+            self._size,
+            self._levels,
+            np.empty(0, np.int64),
+        )
+        seen = keyframe.landmarks[keyframe.landmarks != NO_LANDMARK]
+        rows = np.union1d(views.rows[expected.which], seen)
+        visual_map.expected_counts[rows] += 1
+        visual_map.found_counts[seen] += 1
+        is_missed = visual_map.found_counts[rows] < (
+            _FOUND_RATIO_MIN * visual_map.expected_counts[rows]
+        )
+        visual_map.cull_landmarks(rows[is_missed])
 
     def _exchange_landmarks(self, visual_map: VisualMap, keyframe: Keyframe) -> None:
         neighbours, _ = visual_map.covisible(keyframe.index)

@@ -85,7 +85,11 @@ class LoopCandidates:
         self._groups: list[tuple[set[int], int]] = []
 
     def add(self, keyframe: int) -> list[int]:
-        """Candidates for a keyframe, best first; then it is itself in the index."""
+        """Candidates for a keyframe, best first; then it is itself in the index, and what has been
+        culled is not."""
+        for image in self.index.images:
+            if self._map.keyframes[image].is_culled:
+                self.index.remove(image)
         features = self._map.keyframes[keyframe].features
         near = set(range(keyframe - self._settings.gap_keyframes, keyframe))
         excluded = near | set(self._map.covisible(keyframe)[0].tolist())

@@ -73,20 +73,33 @@ class PlaceIndex:
         )
         self._runs: list[IntArray] = []
         self._images: set[int] = set()
+        self._removed: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._images)
 
     def add(self, image: int, descriptors: ByteArray) -> None:
         """Add an image by its (F, 32) descriptors; its number is from 0 to 2^28 - 1."""
-        if image in self._images or not 0 <= image <= _IMAGE_MASK:
+        if image in self._images | self._removed or not 0 <= image <= _IMAGE_MASK:
             raise ValueError(f"image {image} is in the index already, or no number of an image")
         self._images.add(image)
         run = self._words(descriptors) << _IMAGE_BITS | image
         while self._runs and len(self._runs[-1]) <= 2 * len(run):
             # A stable sort merges two sorted runs in linear time.
             run = np.sort(np.concatenate([self._runs.pop(), run]), kind="stable")
+            if self._removed:
+                run = run[~np.isin(run & _IMAGE_MASK, sorted(self._removed))]
         self._runs.append(run)
+
+    def remove(self, image: int) -> None:
+        """Leave an image out. Its words go when runs are merged; until then they count."""
+        self._images.remove(image)
+        self._removed.add(image)
+
+    @property
+    def images(self) -> frozenset[int]:
+        """Those in the index."""
+        return frozenset(self._images)
 
     def query(self, descriptors: ByteArray) -> PlaceScores:
         """The images that share words with (F, 32) descriptors; those of one score by number."""
@@ -100,7 +113,7 @@ class PlaceIndex:
         document_frequency = np.sum(lengths, axis=0)
         # A word that no image has weighs as much as one that a single image has.
         idf = np.log1p(count / np.maximum(document_frequency, 1))
-        votes = np.zeros(max(self._images) + 1)
+        votes = np.zeros(max(self._images | self._removed) + 1)
         left = np.full(len(words), self._settings.postings_max)
         # Merging keeps images in order within a run, and the first run has the oldest.
         for run, begin, length in zip(self._runs, begins, lengths, strict=True):
@@ -110,6 +123,7 @@ class PlaceIndex:
             votes += np.bincount(
                 run[postings] & _IMAGE_MASK, np.repeat(idf, taken), minlength=len(votes)
             )
+        votes[sorted(self._removed)] = 0.0
         voted = np.flatnonzero(votes)
         order = np.argsort(-votes[voted], kind="stable")
         total = max(float(idf.sum()), np.finfo(np.float64).tiny)

@@ -1,7 +1,8 @@
 """The map of visual SLAM: keyframes with ORB features, and the landmarks that they see.
 
 Landmarks are held as columns of arrays, one row each; a feature points to its landmark by row.
-Numbers of keyframes and landmarks stay what they are: what is culled is marked, not moved.
+Numbers of keyframes stay what they are: what is culled is marked, not moved. So it is with
+landmarks until ``VisualMap.drop_culled_landmarks``.
 """
 
 from collections import Counter
@@ -53,6 +54,17 @@ class FrameFeatures:
         return len(self.pixels)
 
 
+def no_features() -> FrameFeatures:
+    """Of an image that shows none."""
+    return FrameFeatures(
+        pixels=np.empty((0, 2)),
+        depths_m=np.empty(0),
+        octaves=np.empty(0, np.int64),
+        angles_deg=np.empty(0, np.float32),
+        descriptors=np.empty((0, 32), np.uint8),
+    )
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class Keyframe:
     """An image of the map.
@@ -60,8 +72,9 @@ class Keyframe:
     ``index``: its number in ``VisualMap.keyframes``. ``T_map_camera``: (4, 4), as estimated so
     far. ``landmarks``: (F,) the landmark that each feature sees, or NO_LANDMARK. ``parent``: the
     keyframe that saw most of its landmarks when it was made, None for the first of a map: the
-    spanning tree of the essential graph. ``is_culled``: left out of all that follows; its pose then
-    follows its parent's by ``T_parent_camera``, (4, 4), None for a keyframe that is kept.
+    spanning tree of the essential graph. ``is_culled``: left out of all that follows, without
+    features; its pose then follows that of its parent, which is kept, by ``T_parent_camera``,
+    (4, 4), None for a keyframe that is kept itself.
     ``reduced_depth_m``: (h, w) by ``SurfaceSampler``, None where it is not needed any more.
     """
 
@@ -149,8 +162,9 @@ class VisualMap:
     """Keyframes and landmarks.
 
     ``positions_in_map_m``: (M, 3) of the landmarks. ``landmark_descriptors``: (M, 32).
-    ``is_landmark_culled``: (M,). ``loops``: in the order in which they were closed. Which feature
-    sees which landmark is changed by the methods alone.
+    ``is_landmark_culled``: (M,). ``expected_counts``, ``found_counts``: (M,) how many new keyframes
+    should have shown each by their poses, and how many did. ``loops``: in the order in which they
+    were closed. Which feature sees which landmark is changed by the methods alone.
     """
 
     keyframes: list[Keyframe] = field(default_factory=list)
@@ -160,6 +174,8 @@ class VisualMap:
     _positions: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     _descriptors: ByteArray = field(default_factory=lambda: np.empty((0, 32), np.uint8))
     _is_culled: BoolArray = field(default_factory=lambda: np.empty(0, np.bool_))
+    _expected: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    _found: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     # Of each landmark: the feature by which each keyframe sees it.
     _observers: list[dict[int, int]] = field(default_factory=list)
 
@@ -177,6 +193,16 @@ class VisualMap:
     def is_landmark_culled(self) -> BoolArray:
         """(M,), a view."""
         return self._is_culled[: len(self._observers)]
+
+    @property
+    def expected_counts(self) -> IntArray:
+        """(M,), a view: writing to it changes them."""
+        return self._expected[: len(self._observers)]
+
+    @property
+    def found_counts(self) -> IntArray:
+        """(M,), a view: writing to it changes them."""
+        return self._found[: len(self._observers)]
 
     @property
     def kept_keyframes(self) -> list[Keyframe]:
@@ -219,6 +245,8 @@ class VisualMap:
             self._positions = np.concatenate([self._positions, np.zeros((room, 3))])
             self._descriptors = np.concatenate([self._descriptors, np.zeros((room, 32), np.uint8)])
             self._is_culled = np.concatenate([self._is_culled, np.zeros(room, np.bool_)])
+            self._expected = np.concatenate([self._expected, np.zeros(room, np.int64)])
+            self._found = np.concatenate([self._found, np.zeros(room, np.int64)])
         self._positions[rows] = positions_in_map_m
         self._descriptors[rows] = descriptors
         self._observers += [{} for _ in range(count)]
@@ -359,6 +387,23 @@ class VisualMap:
             self._observers[landmark] = {}
             self._is_culled[landmark] = True
 
+    def drop_culled_landmarks(self) -> IntArray:
+        """Give the memory of culled landmarks back; the others close up in their order.
+
+        (M + 1,) the new row of each former one, NO_LANDMARK for a culled one. The last is
+        NO_LANDMARK too, so that what saw nothing still does.
+        """
+        kept = np.flatnonzero(~self.is_landmark_culled)
+        rows = np.full(len(self._observers) + 1, NO_LANDMARK, np.int64)
+        rows[kept] = np.arange(len(kept))
+        self._positions, self._descriptors = self._positions[kept], self._descriptors[kept]
+        self._expected, self._found = self._expected[kept], self._found[kept]
+        self._is_culled = np.zeros(len(kept), np.bool_)
+        self._observers = [self._observers[row] for row in kept.tolist()]
+        for keyframe in self.keyframes:
+            keyframe.landmarks = rows[keyframe.landmarks]
+        return rows
+
     def cull_keyframe(self, index: int) -> None:
         """Leave out a keyframe that has a parent; its children go to that parent."""
         keyframe = self.keyframes[index]
@@ -370,11 +415,14 @@ class VisualMap:
         T_parent_map = invert_transform(self.keyframes[keyframe.parent].T_map_camera)
         keyframe.T_parent_camera = T_parent_map @ keyframe.T_map_camera
         keyframe.is_culled = True
-        keyframe.reduced_depth_m = None
+        keyframe.features, keyframe.reduced_depth_m = no_features(), None
+        keyframe.landmarks = np.empty(0, np.int64)
         self.alignments = [a for a in self.alignments if index not in (a.first, a.second)]
         for child in self.keyframes:
-            if child.parent == index and not child.is_culled:
+            if child.parent == index:
                 child.parent = keyframe.parent
+                if child.T_parent_camera is not None:
+                    child.T_parent_camera = keyframe.T_parent_camera @ child.T_parent_camera
 
     def pose_of(self, index: int) -> FloatArray:
         """(4, 4) T_map_camera of a keyframe; of a culled one as its parent carries it."""

@@ -67,6 +67,8 @@ from fusion_core.slam.visual.visual_map import (
 # A keyframe does not wait for mapping where less than this part of the landmarks is left in sight;
 # set by hand.
 _URGENT_RATIO = 0.5
+# Rows of culled landmarks are given back once they are more than this part.
+_CULLED_MAX = 0.5
 
 
 class VisualMappingSettings(StageSettings):
@@ -311,6 +313,7 @@ class _VisualSlam:
         assert self._local is not None, "mapping follows a keyframe"
         with _Timer(self._seconds, "waiting for mapping"):
             self._finish_mapping()
+        self._drop_culled_landmarks()
         if self._last is not None:
             T_reference_last = invert_transform(self._local.T_map_reference) @ (
                 self._last.T_map_camera
@@ -319,6 +322,16 @@ class _VisualSlam:
                 self._map, self._map.pose_of(self._local.reference) @ T_reference_last
             )
         self._take_local_map()
+
+    def _drop_culled_landmarks(self) -> None:
+        """Unless most are kept; the local map is taken anew afterwards."""
+        is_culled = self._map.is_landmark_culled
+        if np.count_nonzero(is_culled) <= _CULLED_MAX * len(is_culled):
+            return
+        rows = self._map.drop_culled_landmarks()
+        self._mapping.follow_rows(rows)
+        if self._last is not None:
+            self._last.landmarks = rows[self._last.landmarks]
 
     def _finish_mapping(self) -> None:
         if self._job is not None:

@@ -2,18 +2,24 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from contextlib import suppress
 from typing import Literal
 
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_MS, ByteArray, FloatArray
-from fusion_core.model.errors import MissingStream
+from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, ByteArray, FloatArray
+from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.recording import Recording
 from fusion_core.model.rgbd_frame import RgbdFrame
-from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
+from fusion_core.model.sensors import (
+    CameraInfo,
+    CameraIntrinsics,
+    ColorImage,
+    DepthImage,
+    SensorValue,
+)
 from fusion_core.model.stamps import nearest_stamp
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
@@ -112,7 +118,7 @@ class RgbdFrames:
                 f"{self._color} is taken to show what {self._depth} does, though their frames "
                 f"{color.frame_id} and {depth.frame_id} differ.",
             )
-        return scaled_intrinsics(intrinsics, _scaled_shape(height, width))
+        return intrinsics.scaled_to(_scaled_shape(height, width))
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         """Depth images, each with the colour image nearest in time; those without one are left
@@ -137,6 +143,34 @@ class RgbdFrames:
             frame = self._joined_frame(depth, colors)
             if frame is not None:
                 yield frame
+
+    def at(self, stamp_ns: int) -> RgbdFrame:
+        """The frame of a stamp that iteration gives, read alone.
+
+        Raises MissingStream where there is none.
+        """
+        recorded_ns = stamp_ns + self._clock_offset_ns
+        depth = self._nearest(self._depth, recorded_ns, 0)
+        color = self._nearest(self._color, recorded_ns, COLOR_GAP_MAX_NS)
+        frame = None
+        if isinstance(depth, DepthImage) and isinstance(color, ColorImage):
+            frame = self._joined_frame(depth, deque([color]))
+        if frame is None:
+            raise MissingStream(
+                f"has no colour image with depth at {stamp_ns / NS_PER_S:.3f} s.",
+                file=self._recording.path,
+            )
+        return frame
+
+    def _nearest(self, topic: str, stamp_ns: int, gap_max_ns: int) -> SensorValue | None:
+        """Of the messages that can be read and are stamped in order, the nearest to an instant."""
+        away_ns = np.abs(self._recording.stamps_ns(topic) - stamp_ns)
+        near = np.flatnonzero(self._order.in_order(topic) & (away_ns <= gap_max_ns))
+        for index in near[np.argsort(away_ns[near], kind="stable")].tolist():
+            # Iteration warns of damaged messages.
+            with suppress(RecordingError):
+                return self._recording.read(topic, index).value
+        return None
 
     def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> RgbdFrame | None:
         nearest = nearest_stamp(
@@ -167,21 +201,6 @@ def _scaled_shape(height: int, width: int) -> tuple[int, int]:
     if width <= _WIDTH_MAX_PX:
         return height, width
     return round(height * _WIDTH_MAX_PX / width), _WIDTH_MAX_PX
-
-
-def scaled_intrinsics(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
-    """The same camera with images of another size; pixel centres are integers."""
-    height, width = shape
-    across, down = width / intrinsics.width, height / intrinsics.height
-    return replace(
-        intrinsics,
-        width=width,
-        height=height,
-        fx=across * intrinsics.fx,
-        fy=down * intrinsics.fy,
-        cx=across * (intrinsics.cx + 0.5) - 0.5,
-        cy=down * (intrinsics.cy + 0.5) - 0.5,
-    )
 
 
 def first_camera_extrinsics(

@@ -116,8 +116,10 @@ def assemble_volumes(
                 points_m, _ = points_in_map(all_m, geometry.rays, T_map_camera)
                 octree.add(points_m, T_map_camera[:3, 3])
             if wants_mesh:
-                straight = geometry.without_distortion(near_m, rgb)
-                mesh.add(*straight, geometry.intrinsics, T_map_camera)
+                straight = geometry.straight
+                mesh.add(
+                    straight.depth(near_m), straight.color(rgb), geometry.intrinsics, T_map_camera
+                )
         is_first, wants_octree, wants_mesh = False, octree.restart(), mesh.restart()
     progress(0, None, "filtering the dense cloud")
     colored = cloud.build()

@@ -52,6 +52,23 @@ def test_scores_are_those_of_the_formula():
     assert (np.diff(found.scores) <= 0.0).all()
 
 
+def test_a_removed_image_is_not_found_and_leaves_no_words():
+    settings = PlaceSettings(tables=3, word_bits=8)
+    described = images(count=60)
+    index, kept = PlaceIndex(settings), PlaceIndex(settings)
+    for number, descriptors in enumerate(described):
+        index.add(number, descriptors)
+        if number >= 4:
+            index.remove(number - 2)
+            assert number - 2 not in index.query(described[number - 2]).images
+    assert index.images == {0, 1, 58, 59}
+    for number in (0, 1, 58, 59):
+        kept.add(number, described[number])
+    # The words of what was removed lately may wait for the next merge.
+    postings = [sum(len(run) for run in which._runs) for which in (index, kept)]
+    assert postings[0] < 3 * postings[1]
+
+
 def test_a_place_is_found_as_brute_force_finds_it():
     world, rng = hall(), np.random.default_rng(2)
     poses = round_trip(count=40, turns=0.95)

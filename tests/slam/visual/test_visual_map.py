@@ -39,24 +39,27 @@ def test_links_are_two_way_after_any_changes(seed):
     visual_map = VisualMap()
     for _ in range(25):
         keyframes, landmarks = len(visual_map.keyframes), len(visual_map.positions_in_map_m)
-        change = rng.integers(7)
+        kept = [keyframe.index for keyframe in visual_map.kept_keyframes]
+        change = rng.integers(8)
         if change == 0 or not keyframes:
             seen = np.full(FEATURES, NO_LANDMARK)
             if landmarks:
                 seen = rng.integers(-1, landmarks, FEATURES)
-            parent = int(rng.integers(keyframes)) if keyframes else None
+            parent = int(rng.choice(kept)) if keyframes else None
             visual_map.add_keyframe(keyframes, features(), np.eye(4), seen, parent)
         elif change == 1 or not landmarks:
             visual_map.add_landmarks(np.zeros((5, 3)), np.zeros((5, 32), np.uint8))
         elif change == 2:
             at = rng.permutation(FEATURES)[:4]
-            visual_map.observe(int(rng.integers(keyframes)), at, rng.integers(0, landmarks, 4))
+            visual_map.observe(int(rng.choice(kept)), at, rng.integers(0, landmarks, 4))
         elif change == 3:
-            visual_map.forget(int(rng.integers(keyframes)), rng.permutation(FEATURES)[:3])
+            visual_map.forget(int(rng.choice(kept)), rng.permutation(FEATURES)[:3])
         elif change == 4:
             visual_map.merge_landmarks(*rng.integers(0, landmarks, 2).tolist())
         elif change == 5:
             visual_map.cull_landmarks(rng.integers(0, landmarks, 2))
+        elif change == 6:
+            visual_map.drop_culled_landmarks()
         elif keyframes > 1:
             visual_map.cull_keyframe(int(rng.integers(1, keyframes)))
         require_consistent(visual_map)
@@ -102,6 +105,36 @@ def test_a_culled_keyframe_follows_its_parent():
     np.testing.assert_allclose(visual_map.pose_of(1)[:3, 3], [6.0, 0.0, 1.0])
     with pytest.raises(ValueError, match="first"):
         visual_map.cull_keyframe(0)
+
+
+def test_a_culled_keyframe_outlives_its_parent():
+    visual_map = chain()
+    visual_map.cull_keyframe(2)
+    visual_map.cull_keyframe(1)
+    assert [visual_map.keyframes[k].parent for k in (1, 2, 3)] == [0, 0, 0]
+    assert len(visual_map.keyframes[2].features) == 0
+    visual_map.keyframes[0].T_map_camera[:3, 3] = [5.0, 0.0, 1.0]
+    np.testing.assert_allclose(visual_map.pose_of(2)[:3, 3], [7.0, 0.0, 1.0])
+
+
+def test_landmarks_close_up_where_culled_ones_were():
+    visual_map = chain()
+    count = len(visual_map.positions_in_map_m)
+    visual_map.positions_in_map_m[:, 0] = np.arange(count)
+    visual_map.found_counts[:] = np.arange(count)
+    visual_map.cull_landmarks(np.array([1, 4]))
+    before = [keyframe.landmarks.copy() for keyframe in visual_map.keyframes]
+    seen_by = visual_map.observers_of(5)
+    rows = visual_map.drop_culled_landmarks()
+    assert rows.tolist() == [0, -1, 1, 2, -1, *range(3, count - 2), NO_LANDMARK]
+    np.testing.assert_array_equal(
+        visual_map.positions_in_map_m[:, 0], np.delete(np.arange(count), [1, 4])
+    )
+    np.testing.assert_array_equal(visual_map.found_counts, visual_map.positions_in_map_m[:, 0])
+    assert visual_map.observers_of(3) == seen_by
+    for keyframe, former in zip(visual_map.keyframes, before, strict=True):
+        np.testing.assert_array_equal(keyframe.landmarks, rows[former])
+    assert visual_map.add_landmarks(np.zeros((1, 3)), np.zeros((1, 32), np.uint8)) == count - 2
 
 
 def test_merged_landmarks_are_seen_once():

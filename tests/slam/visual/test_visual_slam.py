@@ -1,6 +1,7 @@
 """Visual SLAM before two textured walls, whose images are drawn at known poses."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -53,6 +54,24 @@ def test_rotations_stay_rotations():
     np.testing.assert_allclose(
         R @ R.transpose(0, 2, 1), np.eye(3)[None].repeat(COUNT, 0), atol=1e-9
     )
+
+
+@pytest.mark.slow
+def test_pacing_to_and_fro_does_not_grow_the_map():
+    passes, period = 10, 2 * (COUNT - 1)
+    places = [min(n % period, period - n % period) for n in range(passes * (COUNT - 1) + 1)]
+    paced = [replace(images()[place], stamp_ns=number) for number, place in enumerate(places)]
+    after_two = visual_slam(paced[:period], INTRINSICS, SETTINGS).visual_map
+    result = visual_slam(paced, INTRINSICS, SETTINGS)
+    assert result.is_tracked.all()
+    grown = result.visual_map
+    assert len(grown.keyframes) > 3 * len(after_two.keyframes)
+    assert len(grown.kept_keyframes) < 1.5 * len(after_two.kept_keyframes)
+    kept, kept_before = (np.count_nonzero(~m.is_landmark_culled) for m in (grown, after_two))
+    assert kept < 1.5 * kept_before
+    # Rows of what is culled are given back.
+    assert len(grown.positions_in_map_m) < 3 * kept
+    assert all(len(k.features) == 0 for k in grown.keyframes if k.is_culled)
 
 
 def test_mapping_on_a_thread_of_its_own_gives_the_same_bytes():

@@ -1,6 +1,7 @@
 """The images of keyframes are found again by their stamps, as visual SLAM saw them."""
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,20 @@ def test_an_image_is_the_one_that_was_tracked(data_folder: Path) -> None:
                 break
         with pytest.raises(MissingStream, match="has no colour image at"):
             images.at(10**6 * NS_PER_S)
+
+
+@pytest.mark.data
+def test_a_frame_is_read_alone_as_in_the_whole(data_folder: Path) -> None:
+    with open_recording(data_folder / "real" / "rgbd" / "redwood_and_odd_encodings") as recording:
+        recorded = RgbdFrames(recording, choose_streams(recording), clock_offset_ns=70 * NS_PER_MS)
+        frames = RegisteredFrames(frames=recorded, intrinsics=recorded.intrinsics, zoom=0.9)
+        for frame in islice(frames, 0, None, 2):
+            alone = frames.at(frame.stamp_ns)
+            assert alone.stamp_ns == frame.stamp_ns
+            for image in ("gray", "depth_m", "rgb"):
+                np.testing.assert_array_equal(getattr(alone, image), getattr(frame, image))
+        with pytest.raises(MissingStream, match="has no colour image with depth at"):
+            recorded.at(frame.stamp_ns + 1)
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def test_pixels_without_distortion():
     geometry = KeyframeImages(INTRINSICS).geometry(depth_m)
     across = geometry.rays[:, :, 0]
     value = np.rint(255.0 * (across - across.min()) / np.ptp(across)).astype(np.uint8)
-    _, straight = geometry.without_distortion(depth_m, value[:, :, np.newaxis].repeat(3, axis=2))
+    straight = geometry.straight.color(value[:, :, np.newaxis].repeat(3, axis=2))
     u = np.arange(80)
     expected = 255.0 * ((u - 38.7) / 60.0 - across.min()) / np.ptp(across)
     inside = slice(15, 65)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.files.atomic import write_text
+from fusion_core.freed_memory import give_freed_memory_back
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MappingFailed, SettingsError
 from fusion_core.model.progress import Progress
@@ -81,6 +82,8 @@ def map_visually(
         result = visual_slam(
             frames, frames.intrinsics, settings, progress, observer, executor=executor
         )
+    # Adjusting the whole map takes several times the memory of what is kept.
+    give_freed_memory_back()
     seconds = {"color": registration_s, **result.seconds}
 
     # Level, with the floor at z = 0.
@@ -88,7 +91,7 @@ def map_visually(
     keyframes = result.visual_map.kept_keyframes
     stamps_ns = np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64)
     T_first_keyframe = np.stack([keyframe.T_map_camera for keyframe in keyframes])
-    views = KeyframeViews(frames, stamps_ns, T_first_keyframe)
+    views = KeyframeViews(frames.at, stamps_ns, T_first_keyframe)
     progress(0, None, "looking for the floor")
     map_frame = level_map_frame(views, frames.intrinsics, T_lidar_camera)
     seconds["floor"] = time.perf_counter() - start_s
@@ -101,7 +104,7 @@ def map_visually(
 
     # Cloud, surface, octree and grid of the keyframes' images at their final poses.
     start_s = time.perf_counter()
-    views = KeyframeViews(frames, stamps_ns, map_frame.T_map_first @ T_first_keyframe)
+    views = KeyframeViews(frames.at, stamps_ns, map_frame.T_map_first @ T_first_keyframe)
     volumes: dict[str, Any] = {}
     camera_grid = None
     try:

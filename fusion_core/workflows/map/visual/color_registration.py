@@ -1,6 +1,6 @@
 """Colour images that show what the depth images do, where the recorded ones show more or less."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,6 +11,7 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.color_zoom import ColorZoom, estimate_color_zoom
 from fusion_core.slam.visual.visual_slam import VisualSlamSettings
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,27 +19,30 @@ class RegisteredFrames:
     """Frames, any number of times, with their colour images magnified by ``zoom`` about the
     principal point."""
 
-    frames: Iterable[RgbdFrame]
+    frames: RgbdFrames
     intrinsics: CameraIntrinsics
     zoom: float = 1.0
     notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[RgbdFrame]:
-        for frame in self.frames:
-            yield replace(
-                frame,
-                gray=magnify(frame.gray, self.zoom, self.intrinsics),
-                rgb=None if frame.rgb is None else magnify(frame.rgb, self.zoom, self.intrinsics),
-            )
+        return map(self._registered, self.frames)
+
+    def at(self, stamp_ns: int) -> RgbdFrame:
+        """The frame of a stamp."""
+        return self._registered(self.frames.at(stamp_ns))
+
+    def _registered(self, frame: RgbdFrame) -> RgbdFrame:
+        return replace(
+            frame,
+            gray=magnify(frame.gray, self.zoom, self.intrinsics),
+            rgb=None if frame.rgb is None else magnify(frame.rgb, self.zoom, self.intrinsics),
+        )
 
 
 def register_colors(
-    frames: Iterable[RgbdFrame], intrinsics: CameraIntrinsics, settings: VisualSlamSettings
+    frames: RgbdFrames, intrinsics: CameraIntrinsics, settings: VisualSlamSettings
 ) -> RegisteredFrames:
-    """The frames as they are, unless colour and depth are certain to show different parts.
-
-    ``frames``: can be gone through again.
-    """
+    """The frames as they are, unless colour and depth are certain to show different parts."""
     found = estimate_color_zoom(
         frames, intrinsics, settings.color_zoom, settings.features, settings.observation_noise
     )

@@ -1,36 +1,41 @@
 """The keyframes' images with their poses, decoded again when they are needed."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 
+import numpy as np
+
+from fusion_core.mapping.depth_camera import depth_intrinsics
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
-from fusion_core.workflows.map.rgbd_frames import scaled_intrinsics
 
 
 class KeyframeViews:
     """Pairs of an image and its (4, 4) T_map_camera, any number of times, one in memory at a time.
 
-    ``stamps_ns``: (K,) of the keyframes, ascending; ``T_map_camera``: (K, 4, 4).
+    ``read_frame``: the frame of a stamp. ``stamps_ns``: (K,) of the keyframes, ascending.
+    ``T_map_camera``: (K, 4, 4).
     """
 
     def __init__(
-        self, frames: Iterable[RgbdFrame], stamps_ns: IntArray, T_map_camera: FloatArray
+        self, read_frame: Callable[[int], RgbdFrame], stamps_ns: IntArray, T_map_camera: FloatArray
     ) -> None:
-        self._frames = frames
-        self._poses = dict(zip(stamps_ns.tolist(), T_map_camera, strict=True))
-
-    def __len__(self) -> int:
-        return len(self._poses)
+        self._read_frame = read_frame
+        self._stamps_ns, self._T_map_camera = stamps_ns, T_map_camera
 
     def __iter__(self) -> Iterator[tuple[RgbdFrame, FloatArray]]:
-        for frame in self._frames:
-            pose = self._poses.get(frame.stamp_ns)
-            if pose is not None:
-                yield frame, pose
+        for stamp_ns, T_map_camera in zip(
+            self._stamps_ns.tolist(), self._T_map_camera, strict=True
+        ):
+            yield self._read_frame(stamp_ns), T_map_camera
+
+    def spread(self, count: int) -> "KeyframeViews":
+        """At most ``count`` of them, spread evenly."""
+        total = len(self._stamps_ns)
+        chosen = np.linspace(0, total - 1, min(total, count)).astype(np.int64)
+        return KeyframeViews(self._read_frame, self._stamps_ns[chosen], self._T_map_camera[chosen])
 
     def depth_intrinsics(self, intrinsics: CameraIntrinsics) -> CameraIntrinsics:
         """Those of the grey images for depth images, whose size may differ."""
-        for frame, _ in self:
-            return scaled_intrinsics(intrinsics, frame.depth_m.shape)
-        return intrinsics
+        first = self._read_frame(int(self._stamps_ns[0]))
+        return depth_intrinsics(intrinsics, first.depth_m.shape)

@@ -1,12 +1,11 @@
 """The frame of visual SLAM's results: z up, and the floor at 0 where it is seen."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion_core.mapping.floor_in_map import FloorInMap, find_floor_in_map
-from fusion_core.model.conventions import R_BODY_OPTICAL, Float32Array, FloatArray, read_only
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, read_only
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import make_transform
 from fusion_core.model.sensors import CameraIntrinsics
@@ -47,7 +46,7 @@ def level_map_frame(
         T_body_first, tilt_max_rad = T_lidar_camera, float(_TILT_MAX_MOUNTED_RAD)
     try:
         floor = find_floor_in_map(
-            _sampled_depths(views),
+            ((frame.depth_m, T) for frame, T in views.spread(_IMAGES_SAMPLED)),
             views.depth_intrinsics(intrinsics),
             T_body_first[2, :3],
             tilt_max_rad=float(tilt_max_rad),
@@ -87,11 +86,3 @@ def _above_floor(floor: FloorInMap, T_body_first: FloatArray) -> FloatArray:
     shift = -R_map_first @ origin
     shift[2] = floor.offset_m
     return make_transform(R_map_first, shift)
-
-
-def _sampled_depths(views: KeyframeViews) -> Iterator[tuple[Float32Array, FloatArray]]:
-    count = len(views)
-    sampled = set(np.linspace(0, count - 1, min(count, _IMAGES_SAMPLED)).astype(np.int64).tolist())
-    for index, (frame, T_map_camera) in enumerate(views):
-        if index in sampled:
-            yield frame.depth_m, T_map_camera
