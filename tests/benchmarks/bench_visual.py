@@ -4,6 +4,7 @@
     python -m tests.benchmarks.bench_visual --cuts     # error over parts of the images
     python -m tests.benchmarks.bench_visual --speed    # images a second, cost and memory by length
     python -m tests.benchmarks.bench_visual --faults   # error of images that were spoilt
+    python -m tests.benchmarks.bench_visual --objects  # what moves through the image, in many ways
 
 SCANLOOM_TEST_DATA names the folder of recordings.
 """
@@ -296,17 +297,42 @@ def scaled_depth(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
         yield replace(frame, depth_m=(1.04 * frame.depth_m).astype(np.float32))
 
 
-def moving_block(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
-    """Half of the image hidden by something textured, 1 m away, that moves to and fro."""
+def moving_object(
+    frames: list[RgbdFrame],
+    part: float = 0.5,
+    depth_m: float = 1.0,
+    pace: float = 20.0,
+    *,
+    vertical: bool = False,
+    cell_px: int = 12,
+    contrast: tuple[int, int] = (30, 226),
+    crossing: tuple[int, int] | None = None,
+) -> Iterator[RgbdFrame]:
+    """A part of the image hidden by something textured at a depth, that moves to and fro with a
+    period of 2 pi ``pace`` images, or crosses once between two images. What is nearer hides it."""
     height, width = frames[0].gray.shape
-    cells = np.random.default_rng(0).integers(30, 226, (height // 12, width // 12), np.uint8)
+    shape = (height // cell_px + 1, width // cell_px + 1)
+    cells = np.random.default_rng(0).integers(*contrast, shape, np.uint8)
     texture = cv2.resize(cells, (width, height), interpolation=cv2.INTER_NEAREST)
+    size = height if vertical else width
+    extent = int(part * size)
     for number, frame in enumerate(frames):
-        left = int(0.25 * width * (1.0 + np.sin(number / 20.0)))
-        gray, depth_m = frame.gray.copy(), frame.depth_m.copy()
-        gray[:, left : left + width // 2] = texture[:, : width // 2]
-        depth_m[:, left : left + width // 2] = 1.0
-        yield replace(frame, gray=gray, depth_m=depth_m)
+        first = int(0.5 * (1.0 - part) * size * (1.0 + np.sin(number / pace)))
+        if crossing is not None:
+            way = (number - crossing[0]) / (crossing[1] - crossing[0])
+            first = int((size + extent) * way) - extent
+        begin, end = max(first, 0), min(first + extent, size)
+        if end <= begin:
+            yield frame
+            continue
+        whole = slice(None)
+        at, of = slice(begin, end), slice(begin - first, end - first)
+        here, there = ((at, whole), (of, whole)) if vertical else ((whole, at), (whole, of))
+        gray, depth = frame.gray.copy(), frame.depth_m.copy()
+        is_hidden = ~(depth[here] < depth_m)
+        gray[here] = np.where(is_hidden, texture[there], gray[here])
+        depth[here] = np.where(is_hidden, np.float32(depth_m), depth[here])
+        yield replace(frame, gray=gray, depth_m=depth)
 
 
 def late_depth(frames: list[RgbdFrame]) -> Iterator[RgbdFrame]:
@@ -329,10 +355,71 @@ FAULTS: dict[str, Callable[[list[RgbdFrame]], Iterator[RgbdFrame]]] = {
     "blurred, 5 of 30": blurred,
     "dark, 5 of 50": dark,
     "depth + 4 %": scaled_depth,
-    "moving block over half": moving_block,
+    "moving block over half": moving_object,
     "depth 40 ms late": late_depth,
     "15 of 60 left out": lost_images,
 }
+
+
+OBJECTS: dict[str, dict] = {
+    "half, 1 m": {},
+    "a quarter": {"part": 0.25},
+    "a third": {"part": 0.35},
+    "two thirds": {"part": 0.65},
+    "fast": {"pace": 8.0},
+    "slow": {"pace": 60.0},
+    "at 1.5 m": {"depth_m": 1.5},
+    "at 2 m": {"depth_m": 2.0},
+    "up and down": {"vertical": True},
+    "weak texture": {"contrast": (100, 156)},
+    "fine texture": {"cell_px": 6},
+    "crosses in 3 s": {"crossing": (60, 150)},
+    "crosses in 1 s": {"crossing": (100, 130)},
+    "crosses in 7 s": {"crossing": (50, 250)},
+    "a third crosses in 3 s": {"part": 0.35, "crossing": (60, 150)},
+}
+# Over so many images an error that has grown by more is asked to be named.
+_GROWTH_IMAGES, _GROWTH_M = 10, 0.05
+
+
+def print_objects(count: int, names: list[str]) -> None:
+    """What moves through the image, in many ways: the error, and how much of it is named."""
+    images = read_images("seven_scenes")
+    registered = register_colors(images.frames, images.intrinsics, VisualSlamSettings())
+    frames = list(registered)[:count]
+    print(
+        f"{'moving object':24} {'poses':>9} {'ATE RMSE (m)':>12} {'doubtful images':>15} "
+        f"error grows in, of these named"
+    )
+    for name in names or OBJECTS:
+        result = run_slam(moving_object(frames, **OBJECTS[name]), images.intrinsics)
+        tracked = result.is_tracked
+        poses, truth = result.T_map_camera[tracked], images.truth[:count][tracked]
+        stamps = result.stamps_ns[tracked]
+        named = np.zeros(len(stamps), np.bool_)
+        for stretch in result.doubtful:
+            named |= (stretch.first_stamp_ns <= stamps) & (stamps <= stretch.last_stamp_ns)
+        growth_m = np.array(
+            [
+                np.linalg.norm(
+                    (
+                        invert_transform(invert_transform(true_first) @ true_last)
+                        @ invert_transform(first)
+                        @ last
+                    )[:3, 3]
+                )
+                for first, last, true_first, true_last in zip(
+                    poses, poses[_GROWTH_IMAGES:], truth, truth[_GROWTH_IMAGES:], strict=False
+                )
+            ]
+        )
+        grows = np.flatnonzero(growth_m > _GROWTH_M)
+        of_these = sum(named[k : k + _GROWTH_IMAGES + 1].any() for k in grows)
+        print(
+            f"{name:24} {f'{tracked.sum()}/{len(frames)}':>9} {ate_m(poses, truth):12.4f} "
+            f"{named.sum():15d} {len(grows)}, {of_these}",
+            flush=True,
+        )
 
 
 def print_faults(count: int) -> None:
@@ -355,7 +442,13 @@ def print_faults(count: int) -> None:
         truth = images.truth[[place[stamp] for stamp in result.stamps_ns.tolist()]][tracked]
         poses = result.T_map_camera[tracked]
         step_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max()
-        doubtful_s = sum(s.last_stamp_ns - s.first_stamp_ns for s in result.doubtful) / NS_PER_S
+        # Stretches of different reasons overlap.
+        seconds = np.diff(result.stamps_ns) / NS_PER_S
+        doubtful_s = sum(
+            step_s
+            for step_s, stamp in zip(seconds, result.stamps_ns[1:], strict=True)
+            if any(s.first_stamp_ns < stamp <= s.last_stamp_ns for s in result.doubtful)
+        )
         lost = ", ".join(
             f"{stretch.first}-{stretch.last} {stretch.reason}" for stretch in result.lost
         )
@@ -371,6 +464,7 @@ def main() -> None:
     parser.add_argument("--cuts", action="store_true")
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--objects", nargs="*", help="names of moving objects; by default all")
     parser.add_argument("--images", type=int, default=300, help="of --faults")
     parser.add_argument("--lengths", type=int, nargs="+", default=[300, 600, 1200, 3000])
     parser.add_argument("--length", type=int, help=argparse.SUPPRESS)
@@ -384,6 +478,8 @@ def main() -> None:
         print_speed(chosen.lengths)
     elif chosen.faults:
         print_faults(chosen.images)
+    elif chosen.objects is not None:
+        print_objects(chosen.images, chosen.objects)
     else:
         print_errors()
 

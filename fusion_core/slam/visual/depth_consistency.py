@@ -5,8 +5,6 @@ surfaces where the image before saw through: that cannot be occlusion, only a wr
 something that has moved in between.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fusion_core.compiled import compiled
@@ -15,6 +13,7 @@ from fusion_core.model.geometry import invert_transform
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler, find_block
+from fusion_core.slam.visual.doubtful_stretches import DoubtfulStretch, join_doubts
 from fusion_core.slam.visual.local_map import LocalMap
 
 # A block contradicts where it lies so many standard deviations before the other surface.
@@ -33,24 +32,6 @@ class DepthCheckSettings(StageSettings):
         ge=0.0,
         le=1.0,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DoubtfulStretch:
-    """Images whose poses are doubtful: up to ``contradicted_share`` of the depth image contradicts
-    the motion."""
-
-    first_stamp_ns: int
-    last_stamp_ns: int
-    contradicted_share: float
-
-    @property
-    def reason(self) -> str:
-        """For people."""
-        return (
-            f"up to {100.0 * self.contradicted_share:.0f} % of the depth image contradicts the "
-            "motion: features may follow something that moves, or colour and depth differ in time"
-        )
 
 
 class DepthCheck:
@@ -84,27 +65,16 @@ class DepthCheck:
         )
 
     def doubtful(self, stamps_ns: IntArray) -> tuple[DoubtfulStretch, ...]:
-        """What was found, neighbouring comparisons joined; each speaks for the images since the
-        one before."""
-        step = self._settings.check_images
-        stretches: list[DoubtfulStretch] = []
-        last = -step
-        for image, share in sorted(self._shares.items()):
-            if share <= self._settings.contradicted_max:
-                continue
-            first_ns = int(stamps_ns[max(image - step + 1, 0)])
-            if stretches and image - last == step:
-                before = stretches.pop()
-                first_ns, share = before.first_stamp_ns, max(share, before.contradicted_share)
-            stretches.append(
-                DoubtfulStretch(
-                    first_stamp_ns=first_ns,
-                    last_stamp_ns=int(stamps_ns[image]),
-                    contradicted_share=share,
-                )
-            )
-            last = image
-        return tuple(stretches)
+        """What was found, neighbouring comparisons joined."""
+        return join_doubts(
+            self._shares,
+            stamps_ns,
+            self._settings.contradicted_max,
+            self._settings.check_images,
+            0,
+            "of the depth image contradicts the motion: features may follow something that moves, "
+            "or colour and depth differ in time",
+        )
 
 
 def contradicted_share(

@@ -33,9 +33,9 @@ from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings
 from fusion_core.slam.visual.depth_consistency import (
     DepthCheck,
     DepthCheckSettings,
-    DoubtfulStretch,
 )
 from fusion_core.slam.visual.depth_surface import SurfaceSampler
+from fusion_core.slam.visual.doubtful_stretches import DoubtfulStretch
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
 from fusion_core.slam.visual.image_trajectory import (
     ImageTrajectory,
@@ -55,6 +55,7 @@ from fusion_core.slam.visual.loop_closing import LoopCloser, RefusedLoop, Visual
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.relocalisation import LastKnownPose, relocalise
+from fusion_core.slam.visual.rival_motion import RivalMotionCheck, RivalMotionSettings
 from fusion_core.slam.visual.sampled_cloud import sample_cloud
 from fusion_core.slam.visual.tracked_frame import TrackedFrame
 from fusion_core.slam.visual.tracking import Tracker, TrackingLoss, TrackingSettings
@@ -100,6 +101,7 @@ class VisualSlamSettings(VisualLoopSettings):
     local_mapping: LocalMappingSettings = LocalMappingSettings()
     depth_alignment: DepthAlignmentSettings = DepthAlignmentSettings()
     depth_check: DepthCheckSettings = DepthCheckSettings()
+    rival_motion: RivalMotionSettings = RivalMotionSettings()
     visual_mapping: VisualMappingSettings = VisualMappingSettings()
 
 
@@ -186,6 +188,7 @@ class _VisualSlam:
         )
         self._surfaces = SurfaceSampler(intrinsics)
         self._depth_check = DepthCheck(intrinsics, settings.depth_check, noise.depth_sigma_per_m2)
+        self._rival_check = RivalMotionCheck(intrinsics, settings.rival_motion, noise)
         self._map = VisualMap()
         self._loops = LoopCloser(self._map, intrinsics, noise, settings)
         self._trajectory = ImageTrajectory()
@@ -251,9 +254,9 @@ class _VisualSlam:
     def _accept(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         assert self._local is not None, "tracked images have a local map"
         T_reference_map = invert_transform(self._local.T_map_reference)
-        self._depth_check.check(
-            len(self._trajectory.stamps_ns), frame.depth_m, tracked.T_map_camera, self._local
-        )
+        image = len(self._trajectory.stamps_ns)
+        self._depth_check.check(image, frame.depth_m, tracked.T_map_camera, self._local)
+        self._rival_check.check(image, tracked.features, tracked.T_map_camera, self._local)
         before = self._last
         self._velocity = None
         if before is not None:
@@ -441,7 +444,10 @@ class _VisualSlam:
             visual_map=self._map,
             lost=lost,
             jumps=find_jumps(stamps_ns, poses, is_tracked),
-            doubtful=self._depth_check.doubtful(stamps_ns),
+            doubtful=(
+                *self._depth_check.doubtful(stamps_ns),
+                *self._rival_check.doubtful(stamps_ns),
+            ),
             refused_loops=tuple(self._loops.refused),
             seconds=dict(self._seconds),
         )

@@ -118,5 +118,5 @@ def test_neighbouring_doubts_are_one_stretch():
     check._shares.update({0: 0.0, 5: 0.2, 10: 0.3, 15: 0.0, 20: 0.15})
     found = check.doubtful(np.arange(30, dtype=np.int64))
     assert [(s.first_stamp_ns, s.last_stamp_ns) for s in found] == [(1, 10), (16, 20)]
-    assert found[0].contradicted_share == 0.3
+    assert found[0].share == 0.3
     assert "30 %" in found[0].reason

@@ -100,7 +100,7 @@ def build_visual_report(
             {
                 "from_s": _seconds(stretch.first_stamp_ns),
                 "to_s": _seconds(stretch.last_stamp_ns),
-                "contradicted_share": stretch.contradicted_share,
+                "contradicted_share": stretch.share,
                 "reason": stretch.reason,
             }
             for stretch in result.doubtful

@@ -1,0 +1,56 @@
+"""Stretches of a trajectory that something in the images contradicts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from fusion_core.model.conventions import IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoubtfulStretch:
+    """Images whose poses are doubtful: up to ``share`` of an image says so, and what of it,
+    ``says``, which follows "up to n %"."""
+
+    first_stamp_ns: int
+    last_stamp_ns: int
+    share: float
+    says: str
+
+    @property
+    def reason(self) -> str:
+        """For people."""
+        return f"up to {100.0 * self.share:.0f} % {self.says}"
+
+
+def join_doubts(
+    shares: Mapping[int, float],
+    stamps_ns: IntArray,
+    share_max: float,
+    step: int,
+    gap: int,
+    says: str,
+) -> tuple[DoubtfulStretch, ...]:
+    """Stretches of images whose share is above ``share_max``.
+
+    ``shares``: of every ``step``-th image by its number; each speaks for the images since the one
+    before. ``gap``: images between two doubtful ones that do not part a stretch.
+    """
+    stretches: list[DoubtfulStretch] = []
+    last = -step - gap - 1
+    for image, found in sorted(shares.items()):
+        if found <= share_max:
+            continue
+        first_ns, share = int(stamps_ns[max(image - step + 1, 0)]), found
+        if image - last <= step + gap and stretches:
+            before = stretches.pop()
+            first_ns, share = before.first_stamp_ns, max(share, before.share)
+        stretches.append(
+            DoubtfulStretch(
+                first_stamp_ns=first_ns,
+                last_stamp_ns=int(stamps_ns[image]),
+                share=share,
+                says=says,
+            )
+        )
+        last = image
+    return tuple(stretches)
