@@ -1,4 +1,10 @@
-"""Stretches of a trajectory that something in the images contradicts."""
+"""Stretches of a trajectory that something in the images contradicts.
+
+What no image contradicts is not named. Depths that are all off by the same factor belong to a
+world, and a trajectory, that are as much larger, which look the same to the last pixel: without
+another measure the images do not show it. Depths that are late against colour contradict the
+motion only by what the camera moves meanwhile, mostly below the noise of depth.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
