@@ -107,7 +107,7 @@ def test_a_step_moves_the_camera_and_a_frame_does_not(bench: Bench) -> None:
         assert moves(bench.change(panel=step)) == 1
         assert moves(bench.change(frame_index=bench.session.view.frame_index + 1)) == 0
     assert moves(bench.change(hidden_layers=frozenset({"rays"}))) == 0
-    bench.panel.reset_view()
+    bench.panel.viewpoint.reset()
     assert moves(bench.sent()) == 1
 
 
@@ -146,7 +146,7 @@ def test_a_screen_of_another_shape_is_fitted_unless_a_person_has_moved(bench: Be
     assert moves(bench.sent()) == 0
     tell(600, 0.0)
     assert moves(bench.sent()) == 0
-    bench.panel.reset_view()
+    bench.panel.viewpoint.reset()
     tell(1280, 0.0)
     bench.browser.wait_for(lambda received: received.type in MOVES)
 
