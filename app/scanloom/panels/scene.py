@@ -233,6 +233,9 @@ class ScenePanel(Panel):
         if self._seen_step != frame_view.view.panel:
             self._seen_step = frame_view.view.panel
             self.viewpoint.reset()
+        else:
+            # The page may have told its size.
+            self.viewpoint.fit()
 
     def _remember(self, geometry: FrameGeometry) -> None:
         if geometry.camera is not None:
@@ -351,7 +354,7 @@ class ScenePanel(Panel):
             rotation_from_quaternion(x, y, z, w), np.array(self._camera.position)
         )
         beams = points_in_box(
-            geometry.beams_m, T_world_camera, self._camera.fov, self.viewpoint.aspect, box
+            geometry.beams_m, T_world_camera, self._camera.fov, self.viewpoint.window.aspect, box
         )
         review.mark_beams(beams.tolist(), is_added=False)
 

@@ -11,6 +11,7 @@ import viser
 from fusion_core.model.conventions import FloatArray
 from scanloom.client_session import ClientSession
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
+from scanloom.panels.scene_viewpoint import scene_window
 from scanloom.scene import camera_views
 from scanloom.scene.camera_views import CameraView
 from scanloom.scene.level_of_detail import POINTS_MAX, DetailLevels, point_width_m
@@ -148,7 +149,8 @@ class VisualStage:
         if picture is None or not self._is_seen:
             return
         extent_m = _extent_m(picture)
-        view = camera_views.overview(extent_m, _heading(picture), self._aspect)
+        window = scene_window(self._camera, self._session)
+        view = camera_views.overview(extent_m, _heading(picture), window)
         self._go(view)
         self._placed = view, extent_m
 
@@ -171,7 +173,8 @@ class VisualStage:
                 low_m = np.minimum(low_m, self._plane.origin_m)
                 high_m = np.maximum(high_m, self._plane.origin_m + self._plane.size_m)
             corner_m, size_m = (float(low_m[0]), float(low_m[1])), high_m - low_m
-            self._go(camera_views.map_from_above(np.eye(4), corner_m, size_m, self._aspect))
+            window = scene_window(self._camera, self._session)
+            self._go(camera_views.map_from_above(np.eye(4), corner_m, size_m, window))
 
     def look_from(self, T_map_camera: FloatArray) -> None:
         """As a camera of the map sees."""
@@ -233,12 +236,7 @@ class VisualStage:
             up=np.array(camera.up_direction),
             fov_rad=camera.fov,
         )
-        return _Look(view, self._aspect, self._cloud)
-
-    @property
-    def _aspect(self) -> float:
-        # The size is zero in a minimised window.
-        return max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
+        return _Look(view, scene_window(camera, self._session).aspect, self._cloud)
 
     def _go(self, view: CameraView) -> None:
         with self._session.batch_updates():

@@ -56,7 +56,9 @@ def stage(server: viser.ViserServer) -> Iterator[tuple[VisualStage, Camera, Sent
     def fail(error: Exception) -> None:
         raise AssertionError(error)
 
-    session: Any = SimpleNamespace(show_failure=fail, batch_updates=nullcontext)
+    session: Any = SimpleNamespace(
+        show_failure=fail, batch_updates=nullcontext, window_px=(1600, 900)
+    )
     stage, sent = VisualStage(client, session), Sent()
     stage.on_points = lambda shown, total: sent.append((shown, total))
     yield stage, camera, sent
