@@ -28,6 +28,8 @@ _OVERDUE_S = 1.0
 _CLICK_M = 0.07
 # A camera that stands nearer than this to where it was put has not been moved by a person.
 _UNMOVED_M = 0.02
+# From a camera's place to the edges of its drawing.
+_CAMERA_M = 0.15
 # A map that grows by less of its size is still seen nearly whole.
 _OUTGROWN = 0.04
 
@@ -244,13 +246,18 @@ class VisualStage:
 
 
 def _extent_m(picture: VisualPicture) -> tuple[FloatArray, FloatArray]:
-    """(3,) least and greatest x, y, z of nearly all that is seen."""
+    """(3,) least and greatest x, y, z of nearly all points, and of the whole trajectory with the
+    camera at its end."""
     parts = [picture.path_m, picture.points_m[:: max(1, len(picture.points_m) // 5000)]]
     points_m = np.concatenate(parts).astype(np.float64)
     points_m = points_m[np.isfinite(points_m).all(axis=1)]
     if not len(points_m):
         return np.full(3, -2.0), np.full(3, 2.0)
     low_m, high_m = np.percentile(points_m, [1.0, 99.0], axis=0)
+    path_m = picture.path_m[np.isfinite(picture.path_m).all(axis=1)]
+    if len(path_m):
+        low_m = np.minimum(low_m, path_m.min(axis=0) - _CAMERA_M)
+        high_m = np.maximum(high_m, path_m.max(axis=0) + _CAMERA_M)
     return low_m, np.maximum(high_m, low_m + 0.5)
 
 
