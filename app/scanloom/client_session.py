@@ -21,6 +21,7 @@ from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failu
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
 from scanloom.page.events import ToolName
+from scanloom.page.layout import FIRST_WINDOW_PX
 from scanloom.scene.sample_readout import linked
 from scanloom.state.hand_pose import HandPose
 from scanloom.state.history import PASSING_FRAMES, History
@@ -110,7 +111,8 @@ class ClientSession:
     """The session of one browser. Thread-safe.
 
     ``panels``: closed with the session. ``review``: of the labels, once there is a panel for it.
-    ``after_drawing``: calls a function once the browser has taken in what it was sent.
+    ``window_px``: (width, height) of the page. ``after_drawing``: calls a function once the browser
+    has taken in what it was sent.
     """
 
     def __init__(
@@ -135,6 +137,7 @@ class ClientSession:
         self._displayed_s = 0.0
         # How often it was asked to display a view, and how often it had been when it last did.
         self._asked = self._answered = 0
+        self.window_px = FIRST_WINDOW_PX
         self._prefers_dark = False
         self._hover = Hover()
         self._closed = threading.Event()

@@ -74,7 +74,7 @@ def _describe_visual_slam(streams: Streams) -> list[str]:
         return [f"It cannot be mapped by its images: {depth} has no colour images beside it."]
     if intrinsics is None:
         return [f"It cannot be mapped by its images: {depth} has no intrinsics."]
-    return [f"It can be mapped by its images, {color} with {depth} (map --slam visual)."]
+    return [f"It can be mapped by visual SLAM of its images, {color} with {depth}."]
 
 
 def _describe_pose_sources(recording: Recording, streams: Streams) -> list[str]:

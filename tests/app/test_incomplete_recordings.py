@@ -11,7 +11,7 @@ from fusion_core.model.sensors import LaserScan, PoseSample
 from fusion_core.workflows.fuse import camera_rig, recorded_streams
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.panels.scene import ScenePanel
-from scanloom.scene.camera_views import stage_extent, step_view
+from scanloom.scene.camera_views import SceneWindow, stage_extent, step_view
 from scanloom.scene.frame_stage import pose_stamps_ns, staged_frame
 from scanloom.scene.layers import absent_layers
 from scanloom.scene.verdict import verdict_of
@@ -187,7 +187,8 @@ def test_a_lidar_alone_is_drawn_without_a_camera(library: Library) -> None:
     assert (drawn.body, drawn.frustum, len(drawn.surface.points_m)) == ("LiDAR", None, 0)
     assert {"surface", "rows", "classes"} < absent_layers(drawn)
     assert "curve" not in absent_layers(drawn)
-    assert step_view("Recording", stage_extent(drawn), 1.6).position_m[2] > 0.0
+    window = SceneWindow(width_px=1600.0, height_px=1000.0)
+    assert step_view("Recording", stage_extent(drawn), window).position_m[2] > 0.0
 
 
 def test_depth_alone_is_drawn_without_a_lidar(library: Library) -> None:

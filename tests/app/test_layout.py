@@ -2,7 +2,7 @@
 
 import pytest
 
-from scanloom.page.layout import page_sizes
+from scanloom.page.layout import covered_px, page_sizes
 
 
 @pytest.mark.parametrize("is_large", [False, True])
@@ -20,3 +20,10 @@ def test_pictures_fit_their_panels(window_px: tuple[int, int], is_large: bool) -
         assert sizes.picture_px[0] <= sizes.left_px
         assert sizes.profile_px[0] <= sizes.between_px
         assert 2 * sizes.bottom_px < height_px
+
+
+@pytest.mark.parametrize("window_px", [(1600, 900), (1280, 720), (390, 844), (1920, 1080)])
+def test_much_of_the_scene_is_not_covered(window_px: tuple[int, int]) -> None:
+    above_px, below_px = covered_px(*window_px)
+    assert 0 < above_px + below_px < 0.56 * window_px[1]
+    assert below_px >= (page_sizes(*window_px).bottom_px if window_px[0] >= 768 else 0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.page.markup import escape_markdown
+from scanloom.page.markup import escape_markdown, name_html
 
 
 @given(st.text(alphabet=st.characters(blacklist_categories=("Cs",)), max_size=60))
@@ -25,3 +25,10 @@ def test_html_and_pictures_stay_text() -> None:
     said = escape_markdown(hostile)
     assert not re.search(r"(?<!\\)[<>\[\]()!#]", said)
     assert "\n" not in said
+
+
+def test_a_broken_name_is_the_same_text() -> None:
+    name = "/camera/depth_raw/<img src=x onerror='a/b_c'>"
+    broken = name_html(name, is_broken=True)
+    assert broken.replace("<wbr>", "") == name_html(name)
+    assert "/<wbr>camera/<wbr>depth_<wbr>raw" in broken

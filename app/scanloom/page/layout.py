@@ -12,10 +12,8 @@ _NARROW_LEFT_PX, _NARROW_RIGHT_PX = 300, 330
 _BOTTOM_PX, _LOW_BOTTOM_PX = 340, 300
 _LOW_SCREEN_PX = 800
 _GAP_PX = 12
-_USUAL_SCREEN_PX = 900
-COVERED_BELOW = (_BOTTOM_PX + _GAP_PX) / _USUAL_SCREEN_PX
-"""Share of a usual screen's height, at its lower edge, on which the time panel lies."""
-
+# Of the legend over the scene; it takes a line, two in a narrow window and three on a phone.
+_LEGEND_LINE_PX = 27
 # With a smaller scene the floating panel is as wide as this.
 _LEAST_WIDTH_PX = 320
 # What viser takes of a panel for its head and its margins.
@@ -29,6 +27,10 @@ _LEAST_PICTURE_PX = 270
 _LARGE = 1.25
 # Narrower windows show all panels as sections of one sheet at the bottom, by viser.
 _PHONE_PX = 768
+# As the page's style sheet limits that sheet.
+_SHEET_SHARE = 0.45
+FIRST_WINDOW_PX = (1600, 900)
+"""What a browser's window is taken for until it has told its size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +71,15 @@ def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> Page
         picture_px=(round(drawn_width_px), round(picture_height_px / picture_zoom)),
         profile_px=(round(profile_width_px / zoom), round(profile_px / zoom)),
     )
+
+
+def covered_px(width_px: int, height_px: int) -> tuple[int, int]:
+    """How much of the scene's height lies below the legend, and below the time panel or a phone's
+    sheet, for a window of this size."""
+    if width_px < _PHONE_PX:
+        return 3 * _LEGEND_LINE_PX, round(_SHEET_SHARE * height_px)
+    lines = 1 if width_px >= _WIDE_PX else 2
+    return lines * _LEGEND_LINE_PX, page_sizes(width_px, height_px).bottom_px + _GAP_PX
 
 
 class PageLayout:

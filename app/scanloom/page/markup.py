@@ -27,15 +27,19 @@ _REPORT_LINE = (
 _MAX_NAME_CHARACTERS, _MAX_TITLE_CHARACTERS = 90, 600
 
 
-def name_html(name: str) -> str:
-    """A name as text in one line, isolated from the direction of writing around it."""
+def name_html(name: str, *, is_broken: bool = False) -> str:
+    """A name as text, isolated from the direction of writing around it. ``is_broken``: over lines
+    where there is no room, after a slash or an underscore."""
     whole = printable(name)
     shown = whole
     if len(whole) > _MAX_NAME_CHARACTERS:
         half = _MAX_NAME_CHARACTERS // 2
         shown = f"{whole[: half - 1]}…{whole[-half:]}"
     title = html.escape(whole[:_MAX_TITLE_CHARACTERS])
-    return f'<bdi title="{title}">{html.escape(shown)}</bdi>'
+    text = html.escape(shown)
+    if is_broken:
+        text = re.sub("([/_])", r"\1<wbr>", text)
+    return f'<bdi title="{title}">{text}</bdi>'
 
 
 def paragraph(text: str) -> str:

@@ -9,9 +9,6 @@ from scanloom.panels.pictures import DepthImagePanel, SimilarityPanel
 from scanloom.panels.profile import ProfilePanel
 from scanloom.panels.timeline import TimelinePanel
 
-# Until the browser has told its size.
-_FIRST_WINDOW_PX = (1600, 900)
-
 
 class ArrangementPanel(Panel):
     """Arranges the layout and sizes its pictures; first of the panels, since they draw to size."""
@@ -28,9 +25,8 @@ class ArrangementPanel(Panel):
         self._session = session
         self._layout, self._pictures = layout, pictures
         self._timeline, self._profile = timeline, profile
-        self._window_px = _FIRST_WINDOW_PX
         self._sizes: PageSizes | None = None
-        self._layout.arrange(page_sizes(*self._window_px))
+        self._layout.arrange(page_sizes(*self._session.window_px))
         self._size_pictures(is_large=session.view.large_text)
         bridge.on_screen(self._on_screen)
 
@@ -39,13 +35,13 @@ class ArrangementPanel(Panel):
         self._size_pictures(is_large=frame_view.view.large_text)
 
     def _on_screen(self, screen: Screen) -> None:
-        self._window_px = screen.width_px, screen.height_px
-        self._layout.arrange(page_sizes(*self._window_px))
+        self._session.window_px = screen.width_px, screen.height_px
+        self._layout.arrange(page_sizes(*self._session.window_px))
         self._session.set_prefers_dark(screen.prefers_dark)
         self._session.refresh()
 
     def _size_pictures(self, *, is_large: bool) -> None:
-        sizes = page_sizes(*self._window_px, is_large=is_large)
+        sizes = page_sizes(*self._session.window_px, is_large=is_large)
         if sizes == self._sizes:
             return
         self._sizes = sizes

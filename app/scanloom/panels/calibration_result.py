@@ -25,7 +25,7 @@ def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
         head = "A better pose was found" if estimate.improved else "The guess is kept"
     parts = [
         f"<h3>{head}</h3>",
-        _paragraph(estimate.verdict),
+        _paragraph(_in_words(estimate)),
         _paragraph(agreement),
         _deviations(estimate),
     ]
@@ -37,6 +37,14 @@ def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
         notes = "".join(_paragraph(note) for note in estimate.notes)
         parts.append(f"<details><summary>Notes</summary>{notes}</details>")
     return f'<div class="scanloom-result">{"".join(parts)}</div>'
+
+
+def _in_words(estimate: ExtrinsicsEstimate) -> str:
+    """The verdict, with what is not observable named as below it."""
+    verdict = estimate.verdict
+    for name in estimate.unobservable:
+        verdict = verdict.replace(name, _NAMES[name])
+    return verdict
 
 
 def _deviations(estimate: ExtrinsicsEstimate) -> str:

@@ -150,8 +150,9 @@ def _differences(view: View) -> str:
 
 def _pose_text(pose: HandPose) -> str:
     """A pose that all steps use instead of the recording's own."""
+    # Without the sign of a value that is zero in so many digits.
     return (
-        f"Camera set by hand: yaw {pose.yaw_deg:.2f}°, pitch {pose.pitch_deg:.2f}°, roll "
-        f"{pose.roll_deg:.2f}°; {pose.forward_m:.3f} m ahead, {pose.left_m:.3f} m left, "
-        f"{pose.up_m:.3f} m up"
-    )
+        f"Camera set by hand: yaw {pose.yaw_deg:z.2f}°, pitch {pose.pitch_deg:z.2f}°, roll "
+        f"{pose.roll_deg:z.2f}°; {pose.forward_m:z.3f} m ahead, {pose.left_m:z.3f} m left, "
+        f"{pose.up_m:z.3f} m up"
+    ).replace("-", "−")

@@ -1,4 +1,4 @@
-"""The 3D scene: the frame, the map, clicks, the legend and the viewpoints of the steps."""
+"""The 3D scene: the frame, the map, clicks and the legend."""
 
 import threading
 from collections.abc import Callable
@@ -21,12 +21,11 @@ from scanloom.frame_view import FrameView
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.scene_legend import SceneLegend
+from scanloom.panels.scene_viewpoint import VIEWS, SceneViewpoint, Subject
 from scanloom.panels.visual_stage import VisualStage
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.theme import LIGHT, theme_of
-from scanloom.scene import camera_views
 from scanloom.scene.camera_nodes import TOGETHER_NS
-from scanloom.scene.camera_views import CameraView, StageExtent, stage_extent
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.frame_stage import (
     StagedCamera,
@@ -38,7 +37,7 @@ from scanloom.scene.frame_stage import (
     surface_colors,
 )
 from scanloom.scene.layers import LAYERS, OF_VISUAL_MAP, absent_layers, layers_of_step
-from scanloom.scene.map_nodes import map_plane
+from scanloom.scene.map_nodes import MapPlane, map_plane
 from scanloom.scene.nodes import SceneNodes
 from scanloom.scene.picking import points_in_box
 from scanloom.scene.visual_shapes import floor_place
@@ -51,13 +50,7 @@ from scanloom.state.view import Layer, PanelName
 _READ_FIRST_S = 0.05
 # A beam of the scan and a place of the depth image, down and right, from 0 to 1.
 _Pointed = tuple[int | None, tuple[float, float] | None]
-# A camera that stands nearer than this to where it was put has not been moved by a person.
-_UNMOVED_M = 0.02
-# Screens of about one shape show the same.
-_ASPECT_RATIO = 1.08
 _PATH: frozenset[Layer] = frozenset({"map"})
-# Viewpoints, with their keys.
-_VIEWS = {"Reset view": "R", "From above": "T", "As the camera": "C"}
 
 
 class ScenePanel(Panel):
@@ -71,7 +64,6 @@ class ScenePanel(Panel):
         self._camera = client.camera
         self._nodes = SceneNodes(client.scene)
         self.visual = VisualStage(client, session)
-        self._extent: StageExtent | None = None
         self._geometry: FrameGeometry | None = None
         self._coloring: tuple[PanelName, bool] | None = None
         # What each camera saw last.
@@ -82,13 +74,15 @@ class ScenePanel(Panel):
         self._seen_step: PanelName | None = None
         # Nodes are drawn in the session's worker, and turned and picked in viser's threads.
         self._drawing = threading.RLock()
+        self.viewpoint = SceneViewpoint(
+            client.camera, session, self._nodes, self._drawing, self._subject
+        )
         self._closed = threading.Event()
         self._pointing = LatestOnlyWorker(
             f"pointer {client.client_id}", self._point_at, session.show_failure
         )
-        # The viewpoint of the step as it was applied, and the screen's shape that it was fitted to.
-        self._fitted: tuple[CameraView, float] | None = None
         self._grid: OccupancyGrid | None = None
+        self._plane: MapPlane | None = None
         self._map_poses: PoseLookup | None = None
         self._differing_m: FloatArray | None = None
         self._map_theme = LIGHT
@@ -99,7 +93,7 @@ class ScenePanel(Panel):
         self._is_of_poses = False
         self._views = gui.add_button_group(
             "View",
-            tuple(_VIEWS),
+            tuple(VIEWS),
             hint="The step's own viewpoint (R), straight down (T), from the depth camera (C)",
         )
         self._controls = Controls(gui, session)
@@ -114,7 +108,7 @@ class ScenePanel(Panel):
         self._legend = SceneLegend(gui, bridge, session)
         self._controls.bind_field(self._rows, "row_step", int)
         self._views.on_click(lambda _: self._look_by_name(self._views.value))
-        for name, key in _VIEWS.items():
+        for name, key in VIEWS.items():
             bridge.add_key(name, key, partial(self._look_by_name, name))
         client.scene.on_click()(self._clicked)
         self._scene = client.scene
@@ -131,9 +125,9 @@ class ScenePanel(Panel):
         they are not the recorded ones. ``differing_m``: as of ``MapNodes.show``."""
         is_first = self._grid is None and grid is not None
         self._grid, self._map_poses, self._differing_m = grid, poses, differing_m
-        plane = None if grid is None else map_plane(grid, self._map_theme)
+        self._plane = None if grid is None else map_plane(grid, self._map_theme)
         with self._drawing:
-            self._nodes.map.show(plane, differing_m)
+            self._nodes.map.show(self._plane, differing_m)
         self._path_of = None
         if is_first and self._seen_step == "Map":
             # It is what the step is about: look at it once it is placed.
@@ -203,22 +197,6 @@ class ScenePanel(Panel):
             with self._drawing, self._session.batch_updates():
                 self._nodes.mark_hover(*pointed)
 
-    def reset_view(self) -> None:
-        """Look from the viewpoint of the open step at the current frame."""
-        if self._geometry is not None:
-            now_ns = self._geometry.stamp_ns
-            together = [
-                seen
-                for seen in self._seen.values()
-                if abs(seen.stamp_ns - now_ns) <= TOGETHER_NS and seen is not self._geometry
-            ]
-            # The other steps are about the pairs of one camera.
-            shows_all = self._session.view.panel in {"Recording", "Map"}
-            self._extent = stage_extent(self._geometry, together if shows_all else ())
-        aspect, view = self._aspect, self._step_view(self._session.view.panel)
-        self._look(view)
-        self._fitted = None if view is None else (view, aspect)
-
     def _shown_step(self, frame_view: FrameView) -> PanelName:
         step = frame_view.view.panel
         # Until there is a map, its step shows what it is made from. A step that has nothing to work
@@ -254,7 +232,10 @@ class ScenePanel(Panel):
         self._update_map(frame_view)
         if self._seen_step != frame_view.view.panel:
             self._seen_step = frame_view.view.panel
-            self.reset_view()
+            self.viewpoint.reset()
+        else:
+            # The page may have told its size.
+            self.viewpoint.fit()
 
     def _remember(self, geometry: FrameGeometry) -> None:
         if geometry.camera is not None:
@@ -289,75 +270,33 @@ class ScenePanel(Panel):
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.map.place(T_map_lidar)
 
+    def _subject(self) -> Subject:
+        geometry, plane, T_lidar_map = self._geometry, self._plane, self._T_lidar_map
+        together: tuple[FrameGeometry, ...] = ()
+        if geometry is not None:
+            together = tuple(
+                seen
+                for camera, seen in self._seen.items()
+                if self._is_shown(camera, geometry.stamp_ns) and seen is not geometry
+            )
+        return Subject(
+            geometry=geometry,
+            together=together,
+            lone_path_m=self._path_m if self._is_of_poses else None,
+            map=None if plane is None or T_lidar_map is None else (T_lidar_map, plane),
+        )
+
     def _look_by_name(self, name: str) -> None:
         if self.visual.is_seen:
             self.visual.look_by_name(name)
-            return
-        extent, geometry = self._extent, self._geometry
-        if extent is None or geometry is None:
-            return
-        match name:
-            case "From above":
-                self._look(self._view_from_above(extent))
-            case "As the camera" if geometry.frustum is not None:
-                self._look(camera_views.from_camera(geometry.frustum))
-            case _:
-                self.reset_view()
+        else:
+            self.viewpoint.look_by_name(name)
 
-    def _step_view(self, step: PanelName) -> CameraView | None:
-        extent = self._extent
-        if extent is None:
-            return None
-        if self._is_of_poses and len(self._path_m):
-            return camera_views.path_from_above(self._path_m, self._aspect)
-        if step == "Map":
-            return self._view_from_above(extent)
-        return camera_views.step_view(step, extent, self._aspect)
-
-    def _view_from_above(self, extent: StageExtent) -> CameraView:
-        """The whole map in the step of the map, else what the LiDAR sees near the rig."""
-        is_map_shown = self._session.view.panel == "Map" and self._grid is not None
-        if is_map_shown and self._grid is not None and self._T_lidar_map is not None:
-            plane = map_plane(self._grid, self._map_theme)
-            return camera_views.map_from_above(
-                self._T_lidar_map, plane.origin_m, plane.size_m, self._aspect
-            )
-        return camera_views.from_above(extent, self._aspect)
-
-    @property
-    def _aspect(self) -> float:
-        # The size is zero in a minimised window.
-        return max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
-
-    def _look(self, view: CameraView | None) -> None:
-        if view is None:
-            return
-        with self._drawing, self._session.batch_updates():
-            self._nodes.face(view)
-            camera_views.apply(self._camera, view)
-
-    def _camera_moved(self, camera: viser.CameraHandle) -> None:
-        """Turn the shapes to a person who walks around; fit the view anew to a screen of another
-        shape, as when its columns are laid out, unless a person has moved it."""
+    def _camera_moved(self, _: viser.CameraHandle) -> None:
         if self.visual.is_seen:
             self.visual.camera_moved()
-            return
-        if self._fitted is not None:
-            view, aspect = self._fitted
-            is_ours = np.linalg.norm(np.array(camera.position) - view.position_m) < _UNMOVED_M
-            ratio = self._aspect / aspect
-            if is_ours and max(ratio, 1.0 / ratio) > _ASPECT_RATIO:
-                self.reset_view()
-                return
-        with self._drawing:
-            self._nodes.face(
-                CameraView(
-                    position_m=np.array(camera.position),
-                    look_at_m=np.array(camera.look_at),
-                    up=np.array(camera.up_direction),
-                    fov_rad=camera.fov,
-                )
-            )
+        else:
+            self.viewpoint.camera_moved()
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
@@ -414,7 +353,9 @@ class ScenePanel(Panel):
         T_world_camera = make_transform(
             rotation_from_quaternion(x, y, z, w), np.array(self._camera.position)
         )
-        beams = points_in_box(geometry.beams_m, T_world_camera, self._camera.fov, self._aspect, box)
+        beams = points_in_box(
+            geometry.beams_m, T_world_camera, self._camera.fov, self.viewpoint.window.aspect, box
+        )
         review.mark_beams(beams.tolist(), is_added=False)
 
 

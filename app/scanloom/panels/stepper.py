@@ -29,6 +29,7 @@ class StepperPanel(Panel):
         self._gui = gui
         self._open = session.view.panel
         self._folders: dict[PanelName, viser.GuiFolderHandle] = {}
+        self._helps: dict[PanelName, viser.GuiMarkdownHandle] = {}
         self._steps = gui.add_html(_steps_html(self._open, {}))
         self._verdict = gui.add_html("")
 
@@ -45,15 +46,18 @@ class StepperPanel(Panel):
         return folder
 
     def add_help(self, name: PanelName) -> None:
-        """Add the help of a step at the end of its folder."""
+        """Add the help of a step at the end of its folder. It is sent when the step is shown first:
+        browsers take long to set its text and formula, and a person waits for the first frame."""
         with self._folders[name], self._gui.add_folder("About this step", expand_by_default=False):
-            self._gui.add_markdown(help_text(name))
+            self._helps[name] = self._gui.add_markdown("")
 
     def show(self, frame_view: FrameView) -> None:
         """Mark the view's step, say what it has found, and show its folder alone."""
         opened, reasons = frame_view.view.panel, reasons_by_step(frame_view.open_recording)
         update_widget(self._steps, content=_steps_html(opened, reasons))
         update_widget(self._verdict, content=verdict_html(verdict_of(frame_view)))
+        if opened in self._helps:
+            update_widget(self._helps[opened], content=help_text(opened))
         for name, folder in self._folders.items():
             update_widget(folder, visible=name == opened and name not in reasons)
 

@@ -7,6 +7,7 @@ from typing import Any
 from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
 from scanloom.page.markup import name_html
 
+_HEAD = "<th align='left' style='padding-right:0.5em;white-space:nowrap'>"
 _NAME = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top'>"
 _CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;white-space:nowrap'>"
 _GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;font-style:italic'>"
@@ -15,7 +16,7 @@ _GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;
 def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -> str:
     """``described``: the document of ``describe_recording``. ``gaps``: by topic."""
     rows = "".join(_row(topic) + _gap_row(gaps.get(topic["name"])) for topic in described["topics"])
-    head = "".join(f"<th align='left'>{name}</th>" for name in ("stream", "role", "count", "Hz"))
+    head = "".join(f"{_HEAD}{name}</th>" for name in ("stream", "role", "count", "Hz"))
     lines = [html.escape(line) for line in (*_about_gaps(gaps), *described["can"])]
     lines += [f"<b>Warning:</b> {html.escape(line)}" for line in described["warnings"]]
     duration_s = described["duration_s"]
@@ -33,7 +34,7 @@ def _row(topic: Mapping[str, Any]) -> str:
     rate_hz = topic["rate_hz"]
     rate = "–" if rate_hz is None else f"{rate_hz:.1f}"
     cells = (topic["role"].replace("_", " "), topic["count"], rate)
-    name = f"{_NAME}{name_html(topic['name'])}</td>"
+    name = f"{_NAME}{name_html(topic['name'], is_broken=True)}</td>"
     return f"<tr>{name}{''.join(f'{_CELL}{cell}</td>' for cell in cells)}</tr>"
 
 

@@ -11,6 +11,7 @@ import viser
 from fusion_core.model.conventions import FloatArray
 from scanloom.client_session import ClientSession
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
+from scanloom.panels.scene_viewpoint import scene_window
 from scanloom.scene import camera_views
 from scanloom.scene.camera_views import CameraView
 from scanloom.scene.level_of_detail import POINTS_MAX, DetailLevels, point_width_m
@@ -27,6 +28,8 @@ _OVERDUE_S = 1.0
 _CLICK_M = 0.07
 # A camera that stands nearer than this to where it was put has not been moved by a person.
 _UNMOVED_M = 0.02
+# From a camera's place to the edges of its drawing.
+_CAMERA_M = 0.15
 # A map that grows by less of its size is still seen nearly whole.
 _OUTGROWN = 0.04
 
@@ -148,7 +151,8 @@ class VisualStage:
         if picture is None or not self._is_seen:
             return
         extent_m = _extent_m(picture)
-        view = camera_views.overview(extent_m, _heading(picture), self._aspect)
+        window = scene_window(self._camera, self._session)
+        view = camera_views.overview(extent_m, _heading(picture), window)
         self._go(view)
         self._placed = view, extent_m
 
@@ -171,7 +175,8 @@ class VisualStage:
                 low_m = np.minimum(low_m, self._plane.origin_m)
                 high_m = np.maximum(high_m, self._plane.origin_m + self._plane.size_m)
             corner_m, size_m = (float(low_m[0]), float(low_m[1])), high_m - low_m
-            self._go(camera_views.map_from_above(np.eye(4), corner_m, size_m, self._aspect))
+            window = scene_window(self._camera, self._session)
+            self._go(camera_views.map_from_above(np.eye(4), corner_m, size_m, window))
 
     def look_from(self, T_map_camera: FloatArray) -> None:
         """As a camera of the map sees."""
@@ -233,12 +238,7 @@ class VisualStage:
             up=np.array(camera.up_direction),
             fov_rad=camera.fov,
         )
-        return _Look(view, self._aspect, self._cloud)
-
-    @property
-    def _aspect(self) -> float:
-        # The size is zero in a minimised window.
-        return max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
+        return _Look(view, scene_window(camera, self._session).aspect, self._cloud)
 
     def _go(self, view: CameraView) -> None:
         with self._session.batch_updates():
@@ -246,13 +246,18 @@ class VisualStage:
 
 
 def _extent_m(picture: VisualPicture) -> tuple[FloatArray, FloatArray]:
-    """(3,) least and greatest x, y, z of nearly all that is seen."""
+    """(3,) least and greatest x, y, z of nearly all points, and of the whole trajectory with the
+    camera at its end."""
     parts = [picture.path_m, picture.points_m[:: max(1, len(picture.points_m) // 5000)]]
     points_m = np.concatenate(parts).astype(np.float64)
     points_m = points_m[np.isfinite(points_m).all(axis=1)]
     if not len(points_m):
         return np.full(3, -2.0), np.full(3, 2.0)
     low_m, high_m = np.percentile(points_m, [1.0, 99.0], axis=0)
+    path_m = picture.path_m[np.isfinite(picture.path_m).all(axis=1)]
+    if len(path_m):
+        low_m = np.minimum(low_m, path_m.min(axis=0) - _CAMERA_M)
+        high_m = np.maximum(high_m, path_m.max(axis=0) + _CAMERA_M)
     return low_m, np.maximum(high_m, low_m + 0.5)
 
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from fusion_core.model.conventions import Float32Array, FloatArray, read_only
 from fusion_core.model.geometry import rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from fusion_core.model.geometry import transform_points as apply_transform
-from scanloom.page.layout import COVERED_BELOW
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
 from scanloom.scene.glyphs import USUAL_FOV_RAD, facing
@@ -18,7 +17,9 @@ from scanloom.state.view import PanelName
 
 # Narrow: from far above, what lies above or below the plane hardly moves sideways.
 _ABOVE_FOV_RAD = float(np.deg2rad(20.0))
-_LEAST_ASPECT = 0.5
+_LEAST_ASPECT = 0.3
+# Of a window too low for what lies over it, so much is taken to be free.
+_LEAST_FREE = 0.2
 # Share of the half screen that is left free at each edge.
 _EDGE = 0.04
 # Set by hand for rooms; the default is for frames without a point.
@@ -27,8 +28,8 @@ _MIN_VIEW_RANGE_M, _DEFAULT_VIEW_RANGE_M, _MAX_VIEW_RANGE_M = 2.0, 4.0, 12.0
 _FITTED_POINTS = 800
 # A robot that stands still is seen with its surroundings.
 _LEAST_PATH_M = 4.0
-# From a sensor to the ends of its handles.
-_HANDLES_M = 0.35
+# From a sensor's place to its edges, and to the ends of its handles.
+_SENSOR_M, _HANDLES_M = 0.15, 0.35
 # Set by hand: how steeply a map in space is looked down at.
 _OVERVIEW_SLOPE = 0.7
 _UP = np.array([0.0, 0.0, 1.0])
@@ -42,6 +43,37 @@ class CameraView:
     look_at_m: FloatArray
     up: FloatArray
     fov_rad: float = USUAL_FOV_RAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneWindow:
+    """The part of the page that shows the scene, in CSS pixels. ``above_px`` and ``below_px`` of
+    its height are covered."""
+
+    width_px: float
+    height_px: float
+    above_px: float = 0.0
+    below_px: float = 0.0
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        return self.width_px / self.height_px
+
+    @property
+    def above(self) -> float:
+        """The share of the height that is covered at the upper edge."""
+        return self.above_px * self._shown_of_covered / self.height_px
+
+    @property
+    def below(self) -> float:
+        """The share of the height that is covered at the lower edge."""
+        return self.below_px * self._shown_of_covered / self.height_px
+
+    @property
+    def _shown_of_covered(self) -> float:
+        covered_px = self.above_px + self.below_px
+        return min(1.0, (1.0 - _LEAST_FREE) * self.height_px / max(covered_px, 1.0))
 
 
 class ViewerCamera(Protocol):
@@ -158,8 +190,8 @@ _ANGLES: dict[PanelName, _Angle] = {
 _SCAN_ANGLE = _Angle(above_deg=55.0, aside_deg=0.0, inside_percent=97.0, shows_sensors=True)
 
 
-def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView:
-    """The viewpoint of a step. ``aspect``: width over height of the screen."""
+def step_view(step: PanelName, extent: StageExtent, window: SceneWindow) -> CameraView:
+    """The viewpoint of a step."""
     angle = _ANGLES[step]
     may_m: FloatArray | Float32Array = extent.surface_m
     if step == "Recording" and len(extent.view_m):
@@ -169,7 +201,12 @@ def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView
         may_m = extent.matched_m
     elif not len(may_m):
         may_m, angle = extent.near_m, _SCAN_ANGLE
-    must_m: list[FloatArray | Float32Array] = [extent.sensors_m] if angle.shows_sensors else []
+    must_m: list[FloatArray | Float32Array] = []
+    if angle.shows_sensors:
+        # The sensors whole, with the handles at the camera.
+        around_m = _HANDLES_M if step == "Calibrate" else _SENSOR_M
+        around = np.concatenate([np.eye(3), -np.eye(3)]) * around_m
+        must_m += [extent.sensors_m + offset for offset in around]
     if step in {"Match", "Repair", "Review"}:
         must_m.append(extent.matched_m)
     yaw_rad = extent.yaw_rad - np.deg2rad(angle.aside_deg)
@@ -177,15 +214,11 @@ def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView
     if not len(may_m):
         may_m = np.array([extent.ahead(extent.view_range_m, 0.0, 0.0)])
         must_m = [extent.sensors_m]
-    if step == "Calibrate":
-        # The sensors whole, with the handles at the camera.
-        around = np.concatenate([np.eye(3), -np.eye(3)]) * _HANDLES_M
-        must_m += [extent.sensors_m + offset for offset in around]
     must: FloatArray = np.concatenate([np.empty((0, 3)), *must_m])
-    return _fitted(ahead, may_m, must, aspect=aspect, inside_percent=angle.inside_percent)
+    return _fitted(ahead, may_m, must, window, inside_percent=angle.inside_percent)
 
 
-def from_above(extent: StageExtent, aspect: float) -> CameraView:
+def from_above(extent: StageExtent, window: SceneWindow) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
     near_m = extent.near_m if len(extent.near_m) else extent.surface_m
     ahead, left = extent.ahead(1.0, 0.0, 0.0), extent.ahead(0.0, 1.0, 0.0)
@@ -195,29 +228,32 @@ def from_above(extent: StageExtent, aspect: float) -> CameraView:
     low, high = float(np.percentile(forward, 2.0)), float(np.percentile(forward, 98.0))
     right, left_most = float(np.percentile(aside, 2.0)), float(np.percentile(aside, 98.0))
     middle_m = 0.5 * (low + high) * ahead + 0.5 * (right + left_most) * left
-    return _above(middle_m, max(high - low, (left_most - right) / aspect), up=ahead)
+    return _above(middle_m, (left_most - right, high - low), window, up=ahead)
 
 
 def map_from_above(
-    T_lidar_map: FloatArray, origin_m: tuple[float, float], size_m: FloatArray, aspect: float = 1.0
+    T_lidar_map: FloatArray,
+    origin_m: tuple[float, float],
+    size_m: FloatArray,
+    window: SceneWindow,
 ) -> CameraView:
     """Straight down on a whole map. ``origin_m``: its corner of least x and y in the map frame,
     ``size_m``: (2,) its extent; the map's y is up on the screen."""
     middle_m = np.array([origin_m[0] + 0.5 * size_m[0], origin_m[1] + 0.5 * size_m[1], 0.0])
-    height_m = max(float(size_m[1]), float(size_m[0]) / max(aspect, _LEAST_ASPECT))
-    return _above(apply_transform(T_lidar_map, middle_m), height_m, up=T_lidar_map[:3, 1])
+    size = float(size_m[0]), float(size_m[1])
+    return _above(apply_transform(T_lidar_map, middle_m), size, window, up=T_lidar_map[:3, 1])
 
 
-def path_from_above(path_m: FloatArray, aspect: float = 1.0) -> CameraView:
+def path_from_above(path_m: FloatArray, window: SceneWindow) -> CameraView:
     """Straight down on a whole trajectory, (N, 2) with at least one position."""
     low_m, high_m = path_m.min(axis=0), path_m.max(axis=0)
     size_m = np.maximum(high_m - low_m, _LEAST_PATH_M)
     x_m, y_m = 0.5 * (low_m + high_m - size_m)
-    return map_from_above(np.eye(4), (float(x_m), float(y_m)), size_m, aspect)
+    return map_from_above(np.eye(4), (float(x_m), float(y_m)), size_m, window)
 
 
 def overview(
-    extent_m: tuple[FloatArray, FloatArray], heading: FloatArray, aspect: float = 1.0
+    extent_m: tuple[FloatArray, FloatArray], heading: FloatArray, window: SceneWindow
 ) -> CameraView:
     """A whole map in space, from behind and above. ``extent_m``: (3,) least and (3,) greatest x, y,
     z; ``heading``: (2,) the direction in which it was looked at."""
@@ -228,7 +264,7 @@ def overview(
     )  # fmt: skip
     ahead = np.array([heading[0], heading[1], -_OVERVIEW_SLOPE])
     return _fitted(
-        ahead / np.linalg.norm(ahead), corners_m, corners_m[:0], aspect=aspect, inside_percent=100.0
+        ahead / np.linalg.norm(ahead), corners_m, corners_m[:0], window, inside_percent=100.0
     )
 
 
@@ -274,19 +310,20 @@ def _fitted(
     ahead: FloatArray,
     may_m: FloatArray | Float32Array,
     must_m: FloatArray,
+    window: SceneWindow,
     *,
-    aspect: float,
     inside_percent: float,
 ) -> CameraView:
     """The nearest viewpoint looking ``ahead`` from which ``inside_percent`` of the points are right
-    of the screen's left edge, and so on for each edge, and the points ``must_m`` are right of all.
+    of the left edge of what nothing covers, and so on for each edge, and all of ``must_m`` are.
 
     In the screen's axes a point at (x, y, z) is within the right edge where x - x_eye <= k (z -
     z_eye): linear in the eye's place, whose greatest z the edges at both sides decide together.
     """
     half = np.tan(0.5 * USUAL_FOV_RAD)
-    side = (1.0 - _EDGE) * max(aspect, _LEAST_ASPECT) * half
-    top, bottom = (1.0 - _EDGE) * half, (1.0 - 2.0 * COVERED_BELOW) * half
+    side = (1.0 - _EDGE) * max(window.aspect, _LEAST_ASPECT) * half
+    top = (1.0 - max(_EDGE, 2.0 * window.above)) * half
+    bottom = (1.0 - 2.0 * window.below) * half
     seen_from = facing(np.zeros(3), ahead, _UP)
     axes = np.stack([seen_from.right, seen_from.up, ahead])
     may, must = may_m @ axes.T, must_m @ axes.T
@@ -312,10 +349,14 @@ def _fitted(
     )
 
 
-def _above(middle_m: FloatArray, height_m: float, *, up: FloatArray) -> CameraView:
-    """Straight down; the part of the screen that nothing covers shows ``height_m``."""
-    shown_m = 1.06 * height_m / (1.0 - COVERED_BELOW)
-    middle_m = middle_m - 0.5 * COVERED_BELOW * shown_m * np.asarray(up)
+def _above(
+    middle_m: FloatArray, size_m: tuple[float, float], window: SceneWindow, *, up: FloatArray
+) -> CameraView:
+    """Straight down; the part of the screen that nothing covers shows a width and a height."""
+    width_m, height_m = size_m
+    free = 1.0 - window.above - window.below
+    shown_m = 1.06 * max(height_m / free, width_m / max(window.aspect, _LEAST_ASPECT))
+    middle_m = middle_m + 0.5 * (window.above - window.below) * shown_m * np.asarray(up)
     away_m = np.array([0.0, 0.0, 0.5 * shown_m / float(np.tan(0.5 * _ABOVE_FOV_RAD))])
     return CameraView(
         position_m=middle_m + away_m, look_at_m=middle_m, up=up, fov_rad=_ABOVE_FOV_RAD

@@ -68,7 +68,9 @@ class VisualNodes:
         self._layers: frozenset[Layer] = frozenset()
         self._half_view = USUAL_VIEW
         self._picture: VisualPicture | None = None
-        self._has_cloud = self._has_grid = self._shows_boxes = self._is_seen = False
+        self._has_cloud = self._has_loop = self._has_grid = self._shows_boxes = self._is_seen = (
+            False
+        )
         self._root = scene.add_frame(ROOT, show_axes=False, visible=False)
         self._cloud = scene.add_point_cloud(
             f"{ROOT}/cloud",
@@ -83,6 +85,10 @@ class VisualNodes:
         self._path = lines(scene, f"{ROOT}/path", self._colors.ink, thickness_px=2.0)
         self._keyframes = lines(scene, f"{ROOT}/keyframes", self._colors.camera, thickness_px=1.3)
         self._loops = lines(scene, f"{ROOT}/loops", color_of("lidar"), thickness_px=4.0)
+        # Seen through the cloud, which often lies before it.
+        self._last_loop = scene.add_label(
+            f"{ROOT}/last_loop", "", anchor="bottom-center", font_screen_scale=0.9, visible=False
+        )
         self._now = lines(scene, f"{ROOT}/now", self._colors.ink, thickness_px=3.0)
         self._cell = lines(scene, f"{ROOT}/cell", CELL_COLOR, thickness_px=3.0)
         self._plane: MapPlane | None = None
@@ -111,7 +117,12 @@ class VisualNodes:
     def _draw_lines(self, picture: VisualPicture) -> None:
         self._path.draw(path_segments(picture.path_m))
         self._keyframes.draw(keyframe_segments(picture.T_map_keyframe, self._half_view))
-        self._loops.draw(loop_segments(picture.T_map_keyframe, picture.loops))
+        loops = loop_segments(picture.T_map_keyframe, picture.loops)
+        self._loops.draw(loops)
+        self._has_loop = len(loops) > 0
+        if self._has_loop:
+            self._last_loop.text = f"loop {len(loops)}"
+            self._last_loop.position = loops[-1].mean(axis=0)
         self.mark_now(picture.now)
         self._now.recolor(_LOST if picture.is_lost else self._colors.ink)
 
@@ -248,6 +259,7 @@ class VisualNodes:
         self._cell.allow("map" in layers and self._has_grid)
         self._keyframes.allow("keyframes" in layers)
         self._loops.allow("loops" in layers)
+        self._last_loop.visible = self._has_loop and "loops" in layers
         for frustum in self._picked:
             frustum.visible = "keyframes" in layers
         has_cloud = self._has_cloud and not self._shows_boxes

@@ -87,3 +87,13 @@ def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person
     assert person.page.get_by_label("Preset", exact=True).input_value() == "default"
     person.press("Reset to this preset")
     expect(person.text("Settings: ")).to_have_count(0)
+
+
+def test_a_step_that_is_opened_has_its_help(person: Person) -> None:
+    person.unfold("About this step")
+    expect(person.text("What you see")).to_be_visible()
+    person.open_step("Match")
+    # Sent together with the step's folder.
+    expect(person.text("fits best at row")).to_be_visible()
+    person.unfold("About this step")
+    expect(person.text("The picture Where do they fit? shows the similarity")).to_be_visible()

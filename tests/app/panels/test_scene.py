@@ -107,7 +107,7 @@ def test_a_step_moves_the_camera_and_a_frame_does_not(bench: Bench) -> None:
         assert moves(bench.change(panel=step)) == 1
         assert moves(bench.change(frame_index=bench.session.view.frame_index + 1)) == 0
     assert moves(bench.change(hidden_layers=frozenset({"rays"}))) == 0
-    bench.panel.reset_view()
+    bench.panel.viewpoint.reset()
     assert moves(bench.sent()) == 1
 
 
@@ -146,9 +146,22 @@ def test_a_screen_of_another_shape_is_fitted_unless_a_person_has_moved(bench: Be
     assert moves(bench.sent()) == 0
     tell(600, 0.0)
     assert moves(bench.sent()) == 0
-    bench.panel.reset_view()
+    bench.panel.viewpoint.reset()
     tell(1280, 0.0)
     bench.browser.wait_for(lambda received: received.type in MOVES)
+
+
+def test_a_page_that_tells_its_size_is_fitted_to_what_its_panels_leave(bench: Bench) -> None:
+    session = bench.session
+    bench.change(panel="Match")
+    first_px, z_m = session.window_px, float(session._client.camera.position[2])
+    try:
+        session.window_px = (1280, 720)
+        assert moves(bench.change(row_step=7)) == 1
+        assert float(session._client.camera.position[2]) != z_m
+        assert moves(bench.change(row_step=8)) == 0
+    finally:
+        session.window_px = first_px
 
 
 def test_each_step_has_its_layers_and_each_layer_a_step() -> None:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,7 +57,9 @@ def stage(server: viser.ViserServer) -> Iterator[tuple[VisualStage, Camera, Sent
     def fail(error: Exception) -> None:
         raise AssertionError(error)
 
-    session: Any = SimpleNamespace(show_failure=fail, batch_updates=nullcontext)
+    session: Any = SimpleNamespace(
+        show_failure=fail, batch_updates=nullcontext, window_px=(1600, 900)
+    )
     stage, sent = VisualStage(client, session), Sent()
     stage.on_points = lambda shown, total: sent.append((shown, total))
     yield stage, camera, sent
@@ -178,3 +181,32 @@ def test_clicks_mean_keyframes_before_the_floor(stage: tuple[VisualStage, Camera
     shown.clicked(above, down)
     assert keyframes == [0]
     np.testing.assert_allclose(places, [[0.04, 0.0]])
+
+
+def test_the_last_loop_is_named_where_it_was_closed(stage, server) -> None:
+    shown, _, _ = stage
+    shown.show(ALL, is_dark=False, is_seen=True)
+    alone = picture(10)
+    shown.draw(alone, is_new=True)
+    label = server.scene.get_handle_by_name("/visual/last_loop")
+    assert not label.visible
+    T_map_keyframe = np.tile(np.eye(4), (4, 1, 1))
+    T_map_keyframe[:, 0, 3] = 0.0, 1.0, 2.0, 3.0
+    loops = np.array([[0, 2], [1, 3]])
+    shown.draw(replace(alone, T_map_keyframe=T_map_keyframe, loops=loops), is_new=False)
+    assert label.visible
+    assert label.text == "loop 2"
+    assert label.position[0] == 2.0
+    shown.show(ALL - {"loops"}, is_dark=False, is_seen=True)
+    assert not label.visible
+
+
+def test_the_way_of_the_camera_is_seen_whole(stage) -> None:
+    shown, camera, _ = stage
+    shown.show(ALL, is_dark=False, is_seen=True)
+    seen = picture(1000)
+    shown.draw(seen, is_new=True)
+    # One place among a thousand points, far from all others.
+    far = np.concatenate([seen.path_m, [[0.0, 40.0, 0.0]]])
+    shown.draw(replace(seen, path_m=far), is_new=True)
+    assert camera.look_at[1] == pytest.approx(0.5 * (40.0 - 2.0), abs=0.3)

@@ -18,6 +18,7 @@ from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import CameraIntrinsics
 from scanloom.scene.camera_views import (
     CameraView,
+    SceneWindow,
     StageExtent,
     ViewerCamera,
     apply,
@@ -32,8 +33,14 @@ from scanloom.scene.geometry import frustum
 from scanloom.state.view import PANELS
 
 LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
-# The strip of time lies on so much of the screen's height.
-COVERED = 0.39
+# The legend and the strip of time lie on so much of the screen's height.
+ABOVE, COVERED = 0.05, 0.39
+
+
+def window(aspect: float, *, above: float = ABOVE, below: float = COVERED) -> SceneWindow:
+    return SceneWindow(
+        width_px=900.0 * aspect, height_px=900.0, above_px=900.0 * above, below_px=900.0 * below
+    )
 
 
 def seen_wall(yaw_rad: float = 0.4) -> SimpleNamespace:
@@ -71,25 +78,30 @@ def on_screen(view: CameraView, points_m: np.ndarray) -> np.ndarray:
     return np.stack([offset @ right, offset @ up], axis=1) / scale[:, np.newaxis]
 
 
-@pytest.mark.parametrize("aspect", [0.6, 0.85, 1.3, 1.9])
+@pytest.mark.parametrize("aspect", [0.46, 0.6, 0.85, 1.3, 1.9])
 @pytest.mark.parametrize("step", PANELS)
 def test_what_a_step_is_about_lies_in_the_part_that_nothing_covers(step, aspect):
-    view = step_view(step, EXTENT, aspect)
+    view = step_view(step, EXTENT, window(aspect))
     about = EXTENT.sensors_m if step in {"Recording", "Map"} else EXTENT.matched_m
+    if step == "Recording":
+        # Whole, not their middles alone.
+        about = np.concatenate([about + 0.1 * offset for offset in (*np.eye(3), *-np.eye(3))])
     x, y = on_screen(view, about).T
     # Of pairs in disagreement some are far away.
     inside = 0.9 if step == "Register" else 1.0
     assert np.mean(np.abs(x) <= aspect) >= inside
-    assert np.mean((y <= 1.0) & (y >= -1.0 + 2.0 * COVERED)) >= inside
+    assert np.mean((y <= 1.0 - 2.0 * ABOVE) & (y >= -1.0 + 2.0 * COVERED)) >= inside
 
 
 @pytest.mark.parametrize("step", ["Recording", "Match", "Repair"])
 def test_the_surface_fills_most_of_what_nothing_covers(step):
     aspect = 0.85
-    x, y = on_screen(step_view(step, EXTENT, aspect), EXTENT.surface_m).T
+    x, y = on_screen(step_view(step, EXTENT, window(aspect)), EXTENT.surface_m).T
     wide = np.ptp(np.clip(x, -aspect, aspect)) / (2.0 * aspect)
-    high = np.ptp(np.clip(y, -1.0 + 2.0 * COVERED, 1.0)) / (2.0 - 2.0 * COVERED)
-    assert max(wide, high) > 0.85
+    low, top = -1.0 + 2.0 * COVERED, 1.0 - 2.0 * ABOVE
+    high = np.ptp(np.clip(y, low, top)) / (top - low)
+    # The sensors have to be seen whole, too.
+    assert max(wide, high) > (0.8 if step == "Recording" else 0.85)
     assert wide * high > (0.3 if step == "Recording" else 0.55)
 
 
@@ -104,7 +116,7 @@ def test_nothing_to_look_at_is_looked_at_from_somewhere(step):
     for beams_m in (nothing.beams_m, nothing.beams_m[:0]):
         nothing.beams_m, nothing.pixels_m = beams_m, np.full(beams_m.shape, np.nan)
         extent = stage_extent(nothing)
-        for view in (step_view(step, extent, 1.0), from_above(extent, 1.0)):
+        for view in (step_view(step, extent, window(1.0)), from_above(extent, window(1.0))):
             assert np.isfinite(view.position_m).all()
             assert np.linalg.norm(view.position_m - view.look_at_m) > 0.4
 
@@ -129,14 +141,14 @@ def test_an_overview_does_not_hang_on_the_frame_at_which_it_is_opened():
         down=half.surface.down[kept].copy(),
         right=half.surface.right[kept].copy(),
     )
-    view = step_view("Recording", stage_extent(half), 0.85)
-    whole = step_view("Recording", EXTENT, 0.85)
+    view = step_view("Recording", stage_extent(half), window(0.85))
+    whole = step_view("Recording", EXTENT, window(0.85))
     np.testing.assert_allclose(view.position_m, whole.position_m, atol=0.02)
     assert (np.abs(on_screen(view, EXTENT.surface_m)[:, 0]) < 0.85).mean() > 0.8
 
 
 def test_from_above_ahead_is_up_and_left_is_left():
-    view = from_above(EXTENT, 1.0)
+    view = from_above(EXTENT, window(1.0))
     points = [np.zeros(3), EXTENT.ahead(1.0, 0.0, 0.0), EXTENT.ahead(0.0, 1.0, 0.0)]
     origin, ahead, left = on_screen(view, np.array(points))
     x, y = ahead - origin
@@ -145,21 +157,32 @@ def test_from_above_ahead_is_up_and_left_is_left():
     assert tuple(left - origin) == pytest.approx((-y, 0.0))
     x, y = on_screen(view, EXTENT.near_m).T
     assert (np.abs(x) <= 1.0).all()
-    assert ((y <= 1.0) & (y >= -1.0 + 2.0 * COVERED)).all()
+    assert ((y <= 1.0 - 2.0 * ABOVE) & (y >= -1.0 + 2.0 * COVERED)).all()
 
 
-@pytest.mark.parametrize("aspect", [0.6, 0.85, 1.5])
+@pytest.mark.parametrize("aspect", [0.46, 0.6, 0.85, 1.5])
 def test_map_view_shows_the_whole_map_upright(aspect):
     T_lidar_map = invert_transform(transform_from_planar(np.array([1.0, 2.0, 0.7])))
-    view = map_from_above(T_lidar_map, (-3.0, -1.0), np.array([6.0, 4.0]), aspect)
+    view = map_from_above(T_lidar_map, (-3.0, -1.0), np.array([6.0, 4.0]), window(aspect))
     corners = np.array([[-3.0, -1.0, 0.0], [3.0, -1.0, 0.0], [3.0, 3.0, 0.0]])
     seen = on_screen(view, transform_points(T_lidar_map, corners))
     assert (np.abs(seen[:, 0]) < aspect).all()
-    assert (seen[:, 1] < 1.0).all()
+    assert (seen[:, 1] < 1.0 - 2.0 * ABOVE).all()
     assert (seen[:, 1] > -1.0 + 2.0 * COVERED).all()
     assert seen[1][0] - seen[0][0] > 0.0
     assert seen[1][1] == pytest.approx(seen[0][1])
     assert seen[2][1] > seen[1][1]
+
+
+@pytest.mark.parametrize(("above", "below"), [(0.0, 0.0), (0.08, 0.43), (0.1, 0.45), (0.3, 2.0)])
+def test_a_map_fills_what_its_window_leaves_free(above, below):
+    shown = window(1.0, above=above, below=below)
+    view = map_from_above(np.eye(4), (-2.0, -2.0), np.array([4.0, 4.0]), shown)
+    corners = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 0.0]])
+    (_, low), (_, high) = on_screen(view, corners)
+    assert -1.0 + 2.0 * shown.below < low < high < 1.0 - 2.0 * shown.above
+    free = 2.0 * (1.0 - shown.above - shown.below)
+    assert high - low == pytest.approx(free / 1.06)
 
 
 def test_as_the_camera_the_image_fills_the_screen():
@@ -191,7 +214,7 @@ class Recorder(ViewerCamera):
 
 def test_the_camera_looks_where_the_view_says():
     camera = Recorder()
-    view = step_view("Recording", EXTENT, 1.0)
+    view = step_view("Recording", EXTENT, window(1.0))
     apply(camera, view)
     np.testing.assert_allclose(camera.look_at, view.look_at_m)
     np.testing.assert_allclose(camera.position, view.position_m)

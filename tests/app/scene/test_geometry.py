@@ -21,7 +21,7 @@ from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import FramePair
-from scanloom.scene.camera_views import stage_extent, step_view
+from scanloom.scene.camera_views import SceneWindow, stage_extent, step_view
 from scanloom.scene.frame_geometry import (
     UnmatchedFrame,
     camera_pose,
@@ -361,7 +361,7 @@ def test_a_scan_alone_shows_its_curve():
     extent = stage_extent(shown)
     assert extent.yaw_rad == 0.0
     assert len(extent.sensors_m) == 1
-    view = step_view("Recording", extent, 0.85)
+    view = step_view("Recording", extent, SceneWindow(width_px=85.0, height_px=100.0))
     assert view.position_m[2] > 1.0 > view.position_m[0]
 
 

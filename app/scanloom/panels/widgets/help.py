@@ -1,9 +1,12 @@
 """The help texts of the panels, each with its formula, and of the keys."""
 
+from functools import cache
+
 from scanloom.resources import static_path
 from scanloom.state.view import PanelName
 
 
+@cache
 def help_text(panel: PanelName) -> str:
     """Markdown for ``gui.add_markdown``. Its formula, if any, is an SVG in the text's colour."""
     name = panel.lower()
