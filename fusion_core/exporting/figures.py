@@ -108,13 +108,15 @@ def png_figure(path: Path, heading: str, *, height_in: float) -> Iterator["Figur
 
 
 def _freeze_layout(figure: "Figure") -> None:
-    """Lay out the panels once and round their positions: the layout's solver orders its terms by
+    """Lay out parts and panels once and round their positions: the layout's solver orders its terms by
     memory address, so that its last digits differ between runs."""
     engine = figure.get_layout_engine()
     assert engine is not None, "png_figure makes figures with one"
     if figure.get_axes():
         engine.execute(figure)
     figure.set_layout_engine("none")
+    for part in figure.subfigs:
+        part.bbox_relative.set_points(part.bbox_relative.get_points().round(5))
     for axes in figure.get_axes():
         x, y, width, height = (round(value, 5) for value in axes.get_position(True).bounds)
         axes.set_position((x, y, width, height))

@@ -280,6 +280,15 @@ def test_panel_positions_are_rounded(tmp_path: Path) -> None:
         assert all(round(value, 5) == value for value in axes.get_position(True).extents[:2])
 
 
+def test_parts_of_a_figure_are_rounded(tmp_path: Path) -> None:
+    with png_figure(tmp_path / "a.png", "heading", height_in=2.0) as figure:
+        parts = figure.subfigures(2, 1, height_ratios=(2.0, 1.0))
+        for part in parts:
+            part.subplots().set_title("title")
+    for part in parts:
+        assert all(round(value, 5) == value for value in part.bbox_relative.extents)
+
+
 def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
     with (
         pytest.raises(ZeroDivisionError),
