@@ -108,8 +108,8 @@ def png_figure(path: Path, heading: str, *, height_in: float) -> Iterator["Figur
 
 
 def _freeze_layout(figure: "Figure") -> None:
-    """Lay out parts and panels once and round their positions: the layout's solver orders its terms by
-    memory address, so that its last digits differ between runs."""
+    """Lay out parts and panels once and round their positions: the layout's solver orders its terms
+    by memory address, so that its last digits differ between runs."""
     engine = figure.get_layout_engine()
     assert engine is not None, "png_figure makes figures with one"
     if figure.get_axes():
