@@ -134,15 +134,12 @@ def _undistort_index(
 ) -> tuple[IntArray, CameraIntrinsics]:
     """The (H, W) indices under the pixels of the undistorted image, -1 outside, and its
     intrinsics."""
-    K = intrinsics.matrix
-    size = (intrinsics.width, intrinsics.height)
-    coefficients = np.array(intrinsics.distortion)
+    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
+    arguments = K, coefficients, np.eye(3), K, (intrinsics.width, intrinsics.height), cv2.CV_32FC1
     if intrinsics.is_fisheye:
-        u, v = cv2.fisheye.initUndistortRectifyMap(
-            K, coefficients[:4], np.eye(3), K, size, cv2.CV_32FC1
-        )
+        u, v = cv2.fisheye.initUndistortRectifyMap(*arguments)
     else:
-        u, v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
+        u, v = cv2.initUndistortRectifyMap(*arguments)
     column, row = np.rint(u), np.rint(v)
     # In floats first: strong distortion maps to pixels whose numbers overflow an integer.
     inside = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height)

@@ -13,6 +13,7 @@ chance, and for much where they are far apart, or where the value lies in front 
 import numpy as np
 
 from fusion_core.compiled import compiled
+from fusion_core.denoising.support import spread_over_scan
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 
 WITNESSES = ("beam before", "beam after", "scan before", "scan after", "pixels around")
@@ -106,10 +107,7 @@ def weigh_beams(
         if value > farthest:
             farthest = value
     evidence = np.zeros((beams.size, 5))
-    by_camera = np.full(ranges.size, np.nan)
-    # Each by itself: numba compiles the error message of an assignment to all for seconds.
-    for index in range(beams.size):
-        by_camera[beams[index]] = camera[index]
+    by_camera = spread_over_scan(camera, beams, ranges.size)
     for index in range(beams.size):
         beam = beams[index]
         own = ranges[beam]

@@ -17,6 +17,16 @@ _PIXEL_FLOOR_M = 0.03
 
 
 @compiled()
+def spread_over_scan(values: FloatArray, beams: IntArray, count: int) -> FloatArray:
+    """(``count``,) the ``values`` of B ``beams`` at their places in the scan, NaN at the others."""
+    spread = np.full(count, np.nan)
+    # Each by itself: numba compiles the error message of an assignment to all for seconds.
+    for index in range(beams.size):
+        spread[beams[index]] = values[index]
+    return spread
+
+
+@compiled()
 def count_beam_support(
     ranges: FloatArray,
     in_time: FloatArray,
@@ -39,10 +49,7 @@ def count_beam_support(
     support = np.zeros((beams.size, 3), dtype=np.int64)
     neighbours = np.zeros((beams.size, 2), dtype=np.int64)
     count = ranges.size
-    seen_by_camera = np.full(count, np.nan)
-    # Each by itself: numba compiles the error message of an assignment to all for seconds.
-    for index in range(beams.size):
-        seen_by_camera[beams[index]] = camera[index]
+    seen_by_camera = spread_over_scan(camera, beams, count)
     for index in range(beams.size):
         beam = beams[index]
         own = ranges[beam]

@@ -249,10 +249,10 @@ class _VisualOdometry:
         """(M, 2) normalised image coordinates of the pixels, undistorted."""
         intrinsics = self._intrinsics
         K = intrinsics.matrix
-        coefficients = np.array(intrinsics.distortion or (0.0,) * 4)
+        coefficients = intrinsics.opencv_distortion
         stacked = pixels.astype(np.float64)[:, np.newaxis, :]
         if intrinsics.is_fisheye:
-            ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4])
+            ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients)
         else:
             ideal = cv2.undistortPoints(stacked, K, coefficients)
         return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)

@@ -47,7 +47,7 @@ def join_doubts(
         if found <= share_max:
             continue
         first_ns, share = int(stamps_ns[max(image - step + 1, 0)]), found
-        if image - last <= step + gap and stretches:
+        if image - last <= step + gap:
             before = stretches.pop()
             first_ns, share = before.first_stamp_ns, max(share, before.share)
         stretches.append(
