@@ -4,7 +4,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 import viser
 
 from fusion_core.model.conventions import FloatArray
@@ -17,8 +16,6 @@ from scanloom.scene.map_nodes import MapPlane
 from scanloom.scene.nodes import SceneNodes
 from scanloom.state.view import PanelName
 
-# A camera that stands nearer than this to where it was put has not been moved by a person.
-_UNMOVED_M = 0.02
 # Windows of about one shape, and as much covered, show the same.
 _ASPECT_RATIO, _COVERED = 1.08, 0.02
 # The other steps are about the pairs of one camera.
@@ -98,16 +95,8 @@ class SceneViewpoint:
         """Turn the shapes to a person who walks around; fit the view anew as ``fit`` does."""
         if self.fit():
             return
-        camera = self._camera
         with self._drawing:
-            self._nodes.face(
-                CameraView(
-                    position_m=np.array(camera.position),
-                    look_at_m=np.array(camera.look_at),
-                    up=np.array(camera.up_direction),
-                    fov_rad=camera.fov,
-                )
-            )
+            self._nodes.face(camera_views.view_of(self._camera))
 
     def fit(self) -> bool:
         """Fit the view anew to a window of another shape, as when its columns are laid out, unless
@@ -116,11 +105,10 @@ class SceneViewpoint:
             return False
         view, before = self._fitted
         now = self.window
-        away_m = float(np.linalg.norm(np.array(self._camera.position) - view.position_m))
         ratio = now.aspect / before.aspect
         covered = max(abs(now.above - before.above), abs(now.below - before.below))
         is_other = max(ratio, 1.0 / ratio) > _ASPECT_RATIO or covered > _COVERED
-        if away_m >= _UNMOVED_M or not is_other:
+        if not is_other or not camera_views.is_unmoved(self._camera, view):
             return False
         self.reset()
         return True

@@ -26,8 +26,6 @@ _REST_S = 0.25
 _OVERDUE_S = 1.0
 # A click this far beside a keyframe still means it.
 _CLICK_M = 0.07
-# A camera that stands nearer than this to where it was put has not been moved by a person.
-_UNMOVED_M = 0.02
 # From a camera's place to the edges of its drawing.
 _CAMERA_M = 0.15
 # A map that grows by less of its size is still seen nearly whole.
@@ -161,10 +159,10 @@ class VisualStage:
         if self._placed is None:
             return False
         view, (low_m, high_m) = self._placed
-        away_m = float(np.linalg.norm(np.array(self._camera.position) - view.position_m))
         now_low_m, now_high_m = _extent_m(picture)
         grown = np.maximum(low_m - now_low_m, now_high_m - high_m).max()
-        return away_m < _UNMOVED_M and bool(grown > _OUTGROWN * np.max(high_m - low_m))
+        is_outgrown = bool(grown > _OUTGROWN * np.max(high_m - low_m))
+        return is_outgrown and camera_views.is_unmoved(self._camera, view)
 
     def look_from_above(self) -> None:
         """Straight down on the whole map."""
@@ -231,14 +229,8 @@ class VisualStage:
         self.on_points(len(chosen), len(cloud.points_m))
 
     def _look_now(self) -> _Look:
-        camera = self._camera
-        view = CameraView(
-            position_m=np.array(camera.position),
-            look_at_m=np.array(camera.look_at),
-            up=np.array(camera.up_direction),
-            fov_rad=camera.fov,
-        )
-        return _Look(view, scene_window(camera, self._session).aspect, self._cloud)
+        view = camera_views.view_of(self._camera)
+        return _Look(view, scene_window(self._camera, self._session).aspect, self._cloud)
 
     def _go(self, view: CameraView) -> None:
         with self._session.batch_updates():

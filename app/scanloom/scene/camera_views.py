@@ -33,6 +33,8 @@ _SENSOR_M, _HANDLES_M = 0.15, 0.35
 # Set by hand: how steeply a map in space is looked down at.
 _OVERVIEW_SLOPE = 0.7
 _UP = np.array([0.0, 0.0, 1.0])
+# A camera that stands nearer than this to where it was put has not been moved by a person.
+_UNMOVED_M = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -304,6 +306,21 @@ def apply(camera: ViewerCamera, view: CameraView) -> None:
     camera.position = view.position_m
     camera.look_at = view.look_at_m
     camera.up_direction = view.up
+
+
+def view_of(camera: ViewerCamera) -> CameraView:
+    """The viewpoint of a browser's camera now."""
+    return CameraView(
+        position_m=np.array(camera.position),
+        look_at_m=np.array(camera.look_at),
+        up=np.array(camera.up_direction),
+        fov_rad=camera.fov,
+    )
+
+
+def is_unmoved(camera: ViewerCamera, view: CameraView) -> bool:
+    """Whether a browser's camera still stands where it was put: no person has moved it."""
+    return float(np.linalg.norm(np.array(camera.position) - view.position_m)) < _UNMOVED_M
 
 
 def _fitted(
