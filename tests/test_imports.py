@@ -13,14 +13,16 @@ ROOT = Path(__file__).parents[1]
 BASE = {"fusion_core.model", "fusion_core.settings", "fusion_core.compiled"}
 PROCESSES = {"fusion_core.worker_processes", "fusion_core.freed_memory"}
 FILES = {"fusion_core.files"}
+LENS = {"fusion_core.lens"}
 ALGORITHMS = {
-    "fusion_core.alignment": BASE,
+    "fusion_core.alignment": BASE | LENS,
     "fusion_core.registration": BASE,
     "fusion_core.mapping": BASE | {"fusion_core.registration"},
-    "fusion_core.calibration": BASE | {"fusion_core.registration"},
+    "fusion_core.calibration": BASE | LENS | {"fusion_core.registration"},
     "fusion_core.denoising": BASE | {"fusion_core.alignment", "fusion_core.registration"},
-    "fusion_core.motion": BASE | {"fusion_core.registration"},
+    "fusion_core.motion": BASE | LENS | {"fusion_core.registration"},
     "fusion_core.slam": BASE
+    | LENS
     | {"fusion_core.registration", "fusion_core.motion", "fusion_core.mapping"},
 }
 SIDES = {
@@ -33,13 +35,14 @@ SIDES = {
 ALLOWED: dict[str, set[str]] = {
     "fusion_core.model": set(),
     "fusion_core.settings": {"fusion_core.model"},
+    "fusion_core.lens": {"fusion_core.model"},
     "fusion_core.files": {"fusion_core.model"},
     "fusion_core.compiled": set(),
     "fusion_core.freed_memory": set(),
     "fusion_core.worker_processes": {"fusion_core.model"},
     **ALGORITHMS,
     **SIDES,
-    "fusion_core.workflows": BASE | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
+    "fusion_core.workflows": BASE | LENS | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
     "scanloom": BASE | {"fusion_core.freed_memory", "fusion_core.workflows"},
 }
 # The parts of the app, each level above what it may import; jobs and state know each other.

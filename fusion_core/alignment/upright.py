@@ -7,9 +7,9 @@ the pixel in the stored one. No depth is interpolated.
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
+from fusion_core.lens.straight_images import pixels_under_straight
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.sensors import CameraIntrinsics
 
@@ -83,13 +83,12 @@ def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) 
     turns = 0 if up_in_camera is None else _quarter_turns(up_in_camera)
     shape = (intrinsics.height, intrinsics.width)
     index = np.arange(shape[0] * shape[1], dtype=np.int64).reshape(shape)
-    undistorted = intrinsics
-    if any(intrinsics.distortion):
-        index, undistorted = _undistort_index(index, intrinsics)
+    if not intrinsics.is_straight:
+        index = _straight_index(index, intrinsics)
     index = np.rot90(index, turns)
-    is_identity = turns == 0 and undistorted is intrinsics
+    is_identity = turns == 0 and intrinsics.is_straight
     return UprightView(
-        intrinsics=_rotate_intrinsics(undistorted, turns),
+        intrinsics=_rotate_intrinsics(intrinsics.straight, turns),
         stored_shape=shape,
         stored_index=None if is_identity else np.ascontiguousarray(index),
         R_stored_view=_R_STORED_VIEW[turns].copy(),
@@ -129,21 +128,8 @@ def _rotate_intrinsics(intrinsics: CameraIntrinsics, turns: int) -> CameraIntrin
     return intrinsics
 
 
-def _undistort_index(
-    index: IntArray, intrinsics: CameraIntrinsics
-) -> tuple[IntArray, CameraIntrinsics]:
-    """The (H, W) indices under the pixels of the undistorted image, -1 outside, and its
-    intrinsics."""
-    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
-    arguments = K, coefficients, np.eye(3), K, (intrinsics.width, intrinsics.height), cv2.CV_32FC1
-    if intrinsics.is_fisheye:
-        u, v = cv2.fisheye.initUndistortRectifyMap(*arguments)
-    else:
-        u, v = cv2.initUndistortRectifyMap(*arguments)
-    column, row = np.rint(u), np.rint(v)
-    # In floats first: strong distortion maps to pixels whose numbers overflow an integer.
+def _straight_index(index: IntArray, intrinsics: CameraIntrinsics) -> IntArray:
+    """The (H, W) indices under the pixels of the image without distortion, -1 outside."""
+    column, row = np.moveaxis(np.rint(pixels_under_straight(intrinsics)).astype(np.int64), -1, 0)
     inside = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height)
-    taken = index[
-        np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64)
-    ]
-    return np.where(inside, taken, -1), replace(intrinsics, distortion=())
+    return np.where(inside, index[np.where(inside, row, 0), np.where(inside, column, 0)], -1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import transform_points

@@ -149,9 +149,19 @@ class CameraIntrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
+    def is_straight(self) -> bool:
+        """Whether the images have no distortion. Zeros of any model mean that, as in ROS."""
+        return not any(self.distortion)
+
+    @property
     def is_fisheye(self) -> bool:
         """Whether the distortion is that of OpenCV's fisheye model."""
-        return self.distortion_model in FISHEYE_MODELS
+        return self.distortion_model in FISHEYE_MODELS and not self.is_straight
+
+    @property
+    def straight(self) -> "CameraIntrinsics":
+        """The same camera without distortion."""
+        return replace(self, distortion_model="plumb_bob", distortion=())
 
     @property
     def opencv_distortion(self) -> FloatArray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fusion_core.lens.undistortion import undistort_pixels
 from fusion_core.model.conventions import (
     BoolArray,
     ByteArray,
@@ -241,21 +242,9 @@ class _VisualOdometry:
         usable = (depth_m > settings.depth_min_m) & (depth_m < settings.depth_max_m)
         if np.count_nonzero(usable) < settings.inliers_min:
             return "too few features with depth"
-        rays = np.column_stack([self._normalised_coordinates(pixels), np.ones(len(pixels))])
+        rays = np.column_stack([undistort_pixels(pixels, self._intrinsics), np.ones(len(pixels))])
         points = transform_points(self._T, np.where(usable, depth_m, np.nan)[:, np.newaxis] * rays)
         return _Features(frame.gray, pixels, np.asarray(descriptors, dtype=np.uint8), points, pose)
-
-    def _normalised_coordinates(self, pixels: Float32Array) -> FloatArray:
-        """(M, 2) normalised image coordinates of the pixels, undistorted."""
-        intrinsics = self._intrinsics
-        K = intrinsics.matrix
-        coefficients = intrinsics.opencv_distortion
-        stacked = pixels.astype(np.float64)[:, np.newaxis, :]
-        if intrinsics.is_fisheye:
-            ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients)
-        else:
-            ideal = cv2.undistortPoints(stacked, K, coefficients)
-        return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
 
     def _match(self, keyframe: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
         """The step from a keyframe and its number of inliers, or why there is none."""
@@ -271,7 +260,7 @@ class _VisualOdometry:
         first, pixels = first[kept], pixels[kept]
         if first.size < settings.inliers_min:
             return "too few matches"
-        points, seen = keyframe.points_in_lidar_m[first], self._normalised_coordinates(pixels)
+        points, seen = keyframe.points_in_lidar_m[first], undistort_pixels(pixels, self._intrinsics)
         start, inliers = self._estimate_by_pnp(points, seen)
         enough = max(settings.inliers_min, round(settings.inlier_ratio_min * first.size))
         if start is None or np.count_nonzero(inliers) < enough:

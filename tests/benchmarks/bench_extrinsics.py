@@ -26,9 +26,10 @@ from fusion_core.calibration.features.pose_fit import (
 )
 from fusion_core.calibration.features.reprojection import ReprojectionCurve
 from fusion_core.calibration.pose_error import pose_error
-from fusion_core.calibration.projection import project_points, reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.calibration.turning.self_calibration import self_calibrate
 from fusion_core.exporting.figures_camera_calibration import write_reprojection_curve
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import invert_transform, transform_points

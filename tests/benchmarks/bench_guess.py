@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
-from fusion_core.calibration.projection import inside_image, project_points
 from fusion_core.calibration.refinement.guess_refinement import GuessRefinement, refine_from_guess
 from fusion_core.exporting.figures_calibration import CloudOverImage, write_cloud_over_image
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import transform_points
 from tests.benchmarks.street_scenes import SCENES, StreetScene, read_scene

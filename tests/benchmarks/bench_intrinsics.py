@@ -23,7 +23,7 @@ from fusion_core.calibration.board.intrinsics import (
     estimate_intrinsics,
     held_out_residuals_px,
 )
-from fusion_core.calibration.undistortion import undistort_pixels
+from fusion_core.lens.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.recordings.calibration_files.intrinsics import read_intrinsics

@@ -19,7 +19,7 @@ from fusion_core.calibration.board.laser_pixels import (
     calibrate_laser_pixels,
 )
 from fusion_core.calibration.pose_error import pose_error
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.recordings.calibration_files.intrinsics import read_intrinsics

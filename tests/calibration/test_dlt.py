@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fusion_core.calibration.features.dlt import pose_from_projection, solve_pose, solve_projection
 from fusion_core.calibration.pose_error import pose_error
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points

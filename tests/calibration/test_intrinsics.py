@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fusion_core.calibration.board.intrinsics import IntrinsicsSettings, estimate_intrinsics
-from fusion_core.calibration.projection import project_points
-from fusion_core.calibration.undistortion import undistort_pixels
+from fusion_core.lens.projection import project_points
+from fusion_core.lens.undistortion import undistort_pixels
 from fusion_core.model.errors import CalibrationFailed
 from tests.calibration.boards import BOARD, FISHEYE, PINHOLE, corner_sets, opencv_projection
 

@@ -9,7 +9,7 @@ from fusion_core.calibration.board.laser_pixels import (
     calibrate_laser_pixels,
 )
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import POSE_PARAMETERS
 from fusion_core.model.geometry import make_transform

@@ -19,7 +19,8 @@ from fusion_core.calibration.features.reprojection import (
     reprojection_curve,
 )
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
-from fusion_core.calibration.projection import project_points, reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import ExtrinsicsEstimate

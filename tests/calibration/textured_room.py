@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import R_BODY_OPTICAL, ByteArray, Float32Array, FloatArray
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.sensors import CameraIntrinsics, PointCloud

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion_core.calibration.projection import inside_image, project_points
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.rig_recorder import record_turning_rig
 from fusion_core.simulation.spinning_lidar import SpinningLidarSettings, beam_pattern, intensity

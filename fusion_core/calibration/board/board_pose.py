@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from fusion_core.calibration.board.pose_minimiser import minimise_pose
-from fusion_core.calibration.projection import reprojection_rms
-from fusion_core.calibration.undistortion import undistort_pixels
+from fusion_core.calibration.reprojection_rms import reprojection_rms
+from fusion_core.lens.projection import project_with_jacobian
+from fusion_core.lens.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
@@ -67,25 +68,6 @@ def fit_plane_poses(
         if np.isfinite(r).all() and np.isfinite(t).all()
     ]
     return [fit for fit in fits if fit is not None]
-
-
-def project_with_jacobian(
-    points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics
-) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) pixels and (N, 2, 3) their derivatives by the point, both by OpenCV's models."""
-    given = np.ascontiguousarray(points_in_camera_m, np.float64).reshape(-1, 1, 3)
-    K, coefficients, none = intrinsics.matrix, intrinsics.opencv_distortion, np.zeros(3)
-    if intrinsics.is_fisheye:
-        pixels, jacobian = cv2.fisheye.projectPoints(given, none, none, K, coefficients)
-        by_translation = jacobian[:, 11:14]
-    else:
-        pixels, jacobian = cv2.projectPoints(given, none, none, K, coefficients)
-        by_translation = jacobian[:, 3:6]
-    # A translation of the camera's frame moves every point by itself.
-    return (
-        np.asarray(pixels, np.float64).reshape(-1, 2),
-        np.asarray(by_translation, np.float64).reshape(-1, 2, 3),
-    )
 
 
 def pose_jacobian(T_camera_b: FloatArray, points_in_camera_m: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from fusion_core.calibration.board.board import Board
 from fusion_core.calibration.board.board_pose import PlanePose, fit_plane_pose
 from fusion_core.calibration.board.lens_fit import CameraModel, fit_lens
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.sensors import CameraIntrinsics

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.calibration.board.board_pose import pose_jacobian, project_with_jacobian
+from fusion_core.calibration.board.board_pose import pose_jacobian
 from fusion_core.calibration.board.pose_minimiser import minimise_pose
 from fusion_core.calibration.pose_error import pose_error
+from fusion_core.lens.projection import project_with_jacobian
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.sensors import CameraIntrinsics

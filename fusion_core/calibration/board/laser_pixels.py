@@ -16,7 +16,7 @@ from fusion_core.calibration.board.observability import (
     unobservable_parameters,
 )
 from fusion_core.calibration.pose_error import rotation_angle_rad
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate

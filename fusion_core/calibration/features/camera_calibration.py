@@ -48,7 +48,7 @@ from fusion_core.calibration.features.reprojection import (
     reprojection_curve,
 )
 from fusion_core.calibration.features.virtual_camera import camera_towards, cloud_directions
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import ExtrinsicsEstimate

@@ -6,7 +6,7 @@ M (3 x 4) of (8) has twelve entries, eleven up to its scale. Each pair gives two
 
 import numpy as np
 
-from fusion_core.calibration.features.pixel_rays import ideal_pixels
+from fusion_core.lens.undistortion import straight_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import make_transform
@@ -80,7 +80,7 @@ def solve_pose(
 ) -> tuple[FloatArray, FloatArray]:
     """(4, 4) T_camera_lidar of (N, 3) points and (N, 2) pixels of a camera with distortion, and
     (4, 4) with K⁻¹ M in its first three rows, which reprojects the pairs as (8) does."""
-    ideal = ideal_pixels(pixels, intrinsics)
+    ideal = straight_pixels(pixels, intrinsics)
     known = np.isfinite(ideal).all(axis=1)
     M = solve_projection(points_m[known], ideal[known])
     K = intrinsics.matrix

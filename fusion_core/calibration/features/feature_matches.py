@@ -13,8 +13,8 @@ from fusion_core.calibration.features.feature_points import (
 )
 from fusion_core.calibration.features.intensity_image import IntensityImage, equalise
 from fusion_core.calibration.features.matched_pairs import MatchedPairs
-from fusion_core.calibration.features.pixel_rays import ideal_pixels
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
+from fusion_core.lens.undistortion import straight_pixels
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.seeds import SEED_MAX
@@ -189,7 +189,7 @@ def _geometric_check(
     """(N,) pairs that agree with the model of most support."""
     count = len(image_px)
     inliers = np.zeros(count, dtype=np.bool_)
-    ideal = ideal_pixels(image_px, intrinsics)
+    ideal = straight_pixels(image_px, intrinsics)
     usable = np.flatnonzero(np.isfinite(ideal).all(axis=1))
     # OpenCV's draws have a seed of their own: another order of the pairs is another sample.
     order = usable[np.random.default_rng(settings.seed).permutation(usable.size)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from fusion_core.calibration.features.pose_fit import reprojection_residuals
 from fusion_core.calibration.features.reprojection import image_blocks
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.model.sensors import CameraIntrinsics

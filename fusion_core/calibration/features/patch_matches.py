@@ -16,7 +16,7 @@ from fusion_core.calibration.features.intensity_image import (
 )
 from fusion_core.calibration.features.matched_pairs import MatchedPairs
 from fusion_core.calibration.features.virtual_camera import VirtualCamera
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting

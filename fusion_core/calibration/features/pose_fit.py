@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from fusion_core.calibration.features.pixel_rays import pixel_rays
 from fusion_core.calibration.pose_error import apply_pose_error
-from fusion_core.calibration.projection import project_points
+from fusion_core.lens.projection import project_points
+from fusion_core.lens.undistortion import pixel_rays
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.model.geometry import make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics

@@ -15,7 +15,7 @@ from fusion_core.calibration.features.pose_fit import (
     reprojection_residuals,
 )
 from fusion_core.calibration.pose_error import pose_error
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.seeds import SEED_MAX

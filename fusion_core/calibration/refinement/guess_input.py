@@ -3,7 +3,7 @@ belong to them, or one clear line."""
 
 import numpy as np
 
-from fusion_core.calibration.projection import inside_image, project_points
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import rigid_fault, transform_points

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fusion_core.calibration.projection import inside_image, project_points
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, FloatArray, read_only
 from fusion_core.model.sensors import CameraIntrinsics
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.mapping.depth_camera import StraightImages, depth_intrinsics
+from fusion_core.lens.straight_images import StraightImages
+from fusion_core.mapping.depth_camera import depth_intrinsics
 from fusion_core.model.conventions import Float32Array, FloatArray, read_only
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.pinhole import camera_parameters

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from fusion_core.lens.undistortion import straight_pixels
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
@@ -69,16 +70,18 @@ class FeatureExtractor:
         if descriptors is None or not keypoints:
             return no_features()
         pixels = np.array([point.pt for point in keypoints], np.float32)
+        straight = straight_pixels(pixels, self._intrinsics)
+        is_shown = np.isfinite(straight[:, 0])
         depths_m = sample_depths_m(frame, pixels)
         is_usable = (depths_m > self._settings.depth_min_m) & (
             depths_m < self._settings.depth_max_m
         )
         return FrameFeatures(
-            pixels=undistort_pixels(pixels, self._intrinsics),
-            depths_m=np.where(is_usable, depths_m, np.nan),
-            octaves=np.array([point.octave for point in keypoints], np.int64),
-            angles_deg=np.array([point.angle for point in keypoints], np.float32),
-            descriptors=np.ascontiguousarray(descriptors, dtype=np.uint8),
+            pixels=straight[is_shown],
+            depths_m=np.where(is_usable, depths_m, np.nan)[is_shown],
+            octaves=np.array([point.octave for point in keypoints], np.int64)[is_shown],
+            angles_deg=np.array([point.angle for point in keypoints], np.float32)[is_shown],
+            descriptors=np.asarray(descriptors, np.uint8)[is_shown],
         )
 
     def _spread_evenly(
@@ -122,17 +125,3 @@ def _first_of_cells(pixels: Float32Array, side: float) -> IntArray:
     cells = np.floor(pixels / side).astype(np.int64)
     _, first = np.unique(cells[:, 0] + (cells[:, 1] << 32), return_index=True)
     return np.asarray(first, np.int64)
-
-
-def undistort_pixels(pixels: Float32Array, intrinsics: CameraIntrinsics) -> FloatArray:
-    """(M, 2) the pixels as the camera matrix alone would show them."""
-    K, coefficients = intrinsics.matrix, intrinsics.opencv_distortion
-    stacked = pixels.astype(np.float64)
-    if not np.any(coefficients) and not intrinsics.is_fisheye:
-        return stacked
-    stacked = stacked[:, np.newaxis, :]
-    if intrinsics.is_fisheye:
-        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients, P=K)
-    else:
-        ideal = cv2.undistortPoints(stacked, K, coefficients, P=K)
-    return np.asarray(ideal, np.float64).reshape(-1, 2)

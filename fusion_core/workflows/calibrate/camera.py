@@ -13,7 +13,6 @@ from fusion_core.calibration.features.camera_calibration import (
     CameraCalibration,
     calibrate_by_features,
 )
-from fusion_core.calibration.projection import project_points
 from fusion_core.calibration.refinement.guess_refinement import refine_from_guess
 from fusion_core.exporting.clouds import require_cloud_suffix, write_cloud
 from fusion_core.exporting.extrinsics_files import extrinsics_document
@@ -24,6 +23,7 @@ from fusion_core.exporting.figures_camera_calibration import (
 )
 from fusion_core.files.atomic import require_folder_of
 from fusion_core.files.inputs import require_apart
+from fusion_core.lens.projection import project_points
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
 from fusion_core.model.errors import CalibrationFailed, ExportError
 from fusion_core.model.extrinsics import ExtrinsicsEstimate

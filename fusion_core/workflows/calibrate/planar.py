@@ -20,7 +20,7 @@ from fusion_core.calibration.board.laser_pixels import (
 )
 from fusion_core.calibration.board.laser_segments import SegmentSettings
 from fusion_core.calibration.planar.natural_settings import NaturalSettings
-from fusion_core.calibration.projection import reprojection_rms
+from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.exporting.extrinsics_files import extrinsics_document
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed, SettingsError

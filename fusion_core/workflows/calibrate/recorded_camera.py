@@ -11,7 +11,7 @@ from fusion_core.calibration.features.camera_calibration import (
     CameraCalibration,
     calibrate_by_features,
 )
-from fusion_core.calibration.projection import inside_image, project_points
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.progress import Progress

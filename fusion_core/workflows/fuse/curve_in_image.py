@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.time import estimate_turn_rate_rad_s
-from fusion_core.calibration.projection import inside_image
+from fusion_core.lens.projection import inside_image
 from fusion_core.model.conventions import (
     NS_PER_S,
     BoolArray,

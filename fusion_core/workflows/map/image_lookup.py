@@ -1,12 +1,12 @@
 """The images of keyframes, decoded from the recording when they are asked for."""
 
-import cv2
 import numpy as np
 
+from fusion_core.lens.straight_images import StraightImages
 from fusion_core.model.conventions import ByteArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.recording import Recording
-from fusion_core.model.sensors import CameraIntrinsics, ColorImage
+from fusion_core.model.sensors import ColorImage
 from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.map.rgbd_frames import COLOR_GAP_MAX_NS, RgbdFrames, reduce_image
@@ -35,6 +35,7 @@ class ImageLookup:
         self._recording, self._color = recording, color
         self._clock_offset_ns, self._color_zoom = clock_offset_ns, color_zoom
         self.intrinsics = intrinsics
+        self._straight = StraightImages(intrinsics)
         stamps_ns = recording.stamps_ns(color)
         self._index = np.flatnonzero(stamps_ns != NO_STAMP)
         self._stamps_ns = stamps_ns[self._index]
@@ -57,16 +58,4 @@ class ImageLookup:
             )
         camera = self.intrinsics
         image = reduce_image(value.rgb, (camera.height, camera.width))
-        return _undistorted(magnify(image, self._color_zoom, camera), camera)
-
-
-def _undistorted(rgb: ByteArray, camera: CameraIntrinsics) -> ByteArray:
-    """The image by the camera matrix alone."""
-    if not any(camera.distortion) and not camera.is_fisheye:
-        return rgb
-    coefficients = np.array(camera.distortion or (0.0,) * 4)
-    if camera.is_fisheye:
-        straight = cv2.fisheye.undistortImage(rgb, camera.matrix, coefficients, Knew=camera.matrix)
-    else:
-        straight = cv2.undistort(rgb, camera.matrix, coefficients)
-    return np.asarray(straight, dtype=np.uint8)
+        return self._straight.color(magnify(image, self._color_zoom, camera))

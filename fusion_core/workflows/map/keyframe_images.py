@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fusion_core.calibration.undistortion import undistort_pixels
-from fusion_core.mapping.depth_camera import StraightImages, depth_intrinsics
+from fusion_core.lens.straight_images import StraightImages
+from fusion_core.lens.undistortion import undistort_pixels
+from fusion_core.mapping.depth_camera import depth_intrinsics
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +12,6 @@ from fusion_core.slam.visual.features import (
     FeatureExtractor,
     FeatureSettings,
     spread_evenly,
-    undistort_pixels,
 )
 from tests.slam.visual.textured_corner import INTRINSICS, frame
 
@@ -100,18 +98,3 @@ def test_depth_of_half_the_size_is_the_same_places():
     image = RgbdFrame(stamp_ns=0, gray=np.zeros((240, 320), np.uint8), depth_m=depth_m)
     at = np.array([[20.0, 30.0], [201.0, 99.0]], np.float32)
     np.testing.assert_allclose(sample_depths_m(image, at), 2.0 + 0.001 * at[:, 0], atol=0.0011)
-
-
-@pytest.mark.parametrize("is_fisheye", [False, True])
-def test_undistorted_pixels_are_those_of_the_camera_matrix(is_fisheye):
-    camera = CameraIntrinsics(
-        width=640, height=480, fx=500.0, fy=510.0, cx=320.0, cy=240.0,
-        distortion=(0.1, -0.05, 0.001, 0.002) if not is_fisheye else (0.05, 0.01, 0.0, 0.0),
-        distortion_model="equidistant" if is_fisheye else "plumb_bob",
-    )  # fmt: skip
-    points = np.random.default_rng(0).uniform([-1, -0.8, 2], [1, 0.8, 3], (50, 3))
-    project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
-    args = (np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
-    seen = project(points.reshape(-1, 1, 3), *args)[0].reshape(-1, 2)
-    ideal = points[:, :2] / points[:, 2:] * [500.0, 510.0] + [320.0, 240.0]
-    np.testing.assert_allclose(undistort_pixels(seen.astype(np.float32), camera), ideal, atol=0.02)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fusion_core.calibration.undistortion import undistort_pixels
+from fusion_core.lens.undistortion import undistort_pixels
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics

@@ -1,19 +1,16 @@
 """The images of keyframes are found again by their stamps, as visual SLAM saw them."""
 
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fusion_core.calibration.projection import project_points
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.map import image_lookup
 from fusion_core.workflows.map.image_lookup import ImageLookup
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
 from fusion_core.workflows.map.visual.color_registration import RegisteredFrames
@@ -50,30 +47,3 @@ def test_a_frame_is_read_alone_as_in_the_whole(data_folder: Path) -> None:
                 np.testing.assert_array_equal(getattr(alone, image), getattr(frame, image))
         with pytest.raises(MissingStream, match="has no colour image with depth at"):
             recorded.at(frame.stamp_ns + 1)
-
-
-@pytest.mark.parametrize(
-    "lens",
-    [
-        replace(LENS, distortion=(-0.25, 0.08, 0.001, -0.002, 0.0)),
-        replace(LENS, distortion_model="equidistant", distortion=(0.02, -0.01, 0.003, 0.0)),
-        replace(LENS, distortion_model="equidistant", distortion=()),
-    ],
-    ids=["plumb bob", "fisheye", "fisheye without coefficients"],
-)
-def test_a_landmark_lies_where_the_camera_matrix_has_it(lens: CameraIntrinsics) -> None:
-    # Bright where the lens sees a point of space.
-    point = np.array([[0.31, -0.22, 1.0]])
-    ((u, v),) = project_points(point, lens)
-    rows, columns = np.mgrid[:120, :160]
-    spot = 255.0 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 8.0)
-    stored = np.repeat(spot.astype(np.uint8)[..., np.newaxis], 3, axis=2)
-    straight = image_lookup._undistorted(stored, lens)[..., 0].astype(float)
-    seen = np.array([(straight * columns).sum(), (straight * rows).sum()]) / straight.sum()
-    expected = LENS.fx * 0.31 + LENS.cx, -LENS.fy * 0.22 + LENS.cy
-    np.testing.assert_allclose(seen, expected, atol=0.5)
-
-
-def test_a_straight_image_stays_as_it_is() -> None:
-    image = np.random.default_rng(1).integers(0, 256, (120, 160, 3), dtype=np.uint8)
-    assert image_lookup._undistorted(image, LENS) is image

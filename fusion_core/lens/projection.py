@@ -24,16 +24,20 @@ def project_points(points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics)
     seen[seen] = radius < _largest_radius(intrinsics) * points_in_camera_m[seen, 2]
     if not seen.any():
         return pixels
-    ahead = np.ascontiguousarray(points_in_camera_m[seen], np.float64).reshape(-1, 1, 3)
-    K = intrinsics.matrix
-    coefficients = intrinsics.opencv_distortion
-    none = np.zeros(3)
-    if intrinsics.is_fisheye:
-        projected, _ = cv2.fisheye.projectPoints(ahead, none, none, K, coefficients)
-    else:
-        projected, _ = cv2.projectPoints(ahead, none, none, K, coefficients)
-    pixels[seen] = projected.reshape(-1, 2)
+    pixels[seen] = _project(points_in_camera_m[seen], intrinsics)[0]
     return pixels
+
+
+def project_with_jacobian(
+    points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) pixels and (N, 2, 3) their derivatives by the point, of points ahead that the lens
+    shows."""
+    pixels, jacobian = _project(points_in_camera_m, intrinsics)
+    first = 11 if intrinsics.is_fisheye else 3
+    # A translation of the camera's frame moves every point by itself.
+    by_translation = jacobian[:, first : first + 3].reshape(-1, 2, 3)
+    return pixels, by_translation
 
 
 def inside_image(pixels: FloatArray, intrinsics: CameraIntrinsics) -> BoolArray:
@@ -44,20 +48,26 @@ def inside_image(pixels: FloatArray, intrinsics: CameraIntrinsics) -> BoolArray:
     return inside
 
 
-def reprojection_rms(residuals_px: FloatArray) -> float:
-    """Song 2022, (18), of (N, 2) residuals: sqrt(m_u² + m_v²) with the mean squares m_u², m_v²;
-    NaN for no pairs."""
-    if not len(residuals_px):
-        return float("nan")
-    return float(np.sqrt((residuals_px**2).mean(axis=0).sum()))
+def _project(
+    points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) pixels, and OpenCV's Jacobian, (2 N, ...), whose columns its models order each in
+    their way."""
+    points = np.ascontiguousarray(points_in_camera_m, np.float64).reshape(-1, 1, 3)
+    project = cv2.fisheye.projectPoints if intrinsics.is_fisheye else cv2.projectPoints
+    origin = np.zeros(3)
+    pixels, jacobian = project(
+        points, origin, origin, intrinsics.matrix, intrinsics.opencv_distortion
+    )
+    return np.asarray(pixels, np.float64).reshape(-1, 2), np.asarray(jacobian, np.float64)
 
 
 @lru_cache(maxsize=16)
 def _largest_radius(intrinsics: CameraIntrinsics) -> float:
     """The tangent of the angle from the axis up to which the distortion grows with the angle."""
-    coefficients = intrinsics.opencv_distortion
-    if not coefficients.any() and not intrinsics.is_fisheye:
+    if intrinsics.is_straight:
         return np.inf
+    coefficients = intrinsics.opencv_distortion
     if intrinsics.is_fisheye:
         angle = np.linspace(0.0, 0.5 * np.pi, _FOLD_STEPS, endpoint=False)
         powers = angle[:, np.newaxis] ** (2 * np.arange(1, 5))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.calibration.projection import inside_image, project_points
+from fusion_core.lens.projection import inside_image, project_points
 from fusion_core.model.sensors import CameraIntrinsics
 
 
