@@ -1,5 +1,6 @@
 """The result of a calibration: where a LiDAR is in a camera's frame, and how sure that is."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,21 @@ POSE_PARAMETERS = (
 )
 """The order of a pose's errors, all along the axes of the camera's optical frame: with the truth
 R, t and the estimate R̂, t̂ they are δ = (Log(R R̂ᵀ), t - t̂)."""
+
+POSE_PARAMETER_WORDS = {
+    "rotation_x_rad": "pitch (about the camera's right)",
+    "rotation_y_rad": "yaw (about its down)",
+    "rotation_z_rad": "roll (about its line of sight)",
+    "x_m": "place to the camera's right",
+    "y_m": "place below the camera",
+    "z_m": "place ahead of the camera",
+}
+"""What people read for POSE_PARAMETERS."""
+
+
+def parameters_in_words(names: Iterable[str]) -> str:
+    """Some of POSE_PARAMETERS as part of a sentence."""
+    return ", ".join(POSE_PARAMETER_WORDS[name] for name in names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,18 +4,8 @@ import html
 
 import numpy as np
 
-from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
+from fusion_core.model.extrinsics import POSE_PARAMETER_WORDS, ExtrinsicsEstimate
 from fusion_core.model.names import printable
-
-# Errors are along the camera's axes: x right, y down, z ahead.
-_NAMES = {
-    "rotation_x_rad": "pitch, about the camera's right",
-    "rotation_y_rad": "yaw, about its down",
-    "rotation_z_rad": "roll, about its line of sight",
-    "x_m": "to the camera's right",
-    "y_m": "down",
-    "z_m": "ahead",
-}
 
 
 def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
@@ -25,7 +15,7 @@ def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
         head = "A better pose was found" if estimate.improved else "The guess is kept"
     parts = [
         f"<h3>{head}</h3>",
-        _paragraph(_in_words(estimate)),
+        _paragraph(estimate.verdict),
         _paragraph(agreement),
         _deviations(estimate),
     ]
@@ -39,19 +29,11 @@ def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
     return f'<div class="scanloom-result">{"".join(parts)}</div>'
 
 
-def _in_words(estimate: ExtrinsicsEstimate) -> str:
-    """The verdict, with what is not observable named as below it."""
-    verdict = estimate.verdict
-    for name in estimate.unobservable:
-        verdict = verdict.replace(name, _NAMES[name])
-    return verdict
-
-
 def _deviations(estimate: ExtrinsicsEstimate) -> str:
     """One standard deviation of each number, or that it is not observable."""
     rows = "".join(
-        f"<tr><td>{html.escape(_NAMES[name])}</td><td>{_deviation(name, sd)}</td></tr>"
-        for name, sd in zip(POSE_PARAMETERS, estimate.sd, strict=True)
+        f"<tr><td>{html.escape(words)}</td><td>{_deviation(name, sd)}</td></tr>"
+        for (name, words), sd in zip(POSE_PARAMETER_WORDS.items(), estimate.sd, strict=True)
     )
     return f"<table><caption>How sure (one standard deviation)</caption>{rows}</table>"
 

@@ -34,7 +34,7 @@ from fusion_core.calibration.board.observability import (
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
-from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
+from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate, parameters_in_words
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.settings import StageSettings, setting
 
@@ -385,7 +385,7 @@ def _verdict(
             f" it, {held_out_m * 1000:.1f} mm by a result that has not seen them."
         )
     if unobservable:
-        verdict += f" Not observable, and as in the guess: {', '.join(unobservable)}."
+        verdict += f" Not observable, and as in the guess: {parameters_in_words(unobservable)}."
     return verdict
 
 

@@ -19,7 +19,7 @@ from fusion_core.calibration.pose_error import rotation_angle_rad
 from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
-from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
+from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate, parameters_in_words
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
@@ -134,8 +134,8 @@ def calibrate_laser_pixels(
     free = np.array([name not in unobservable for name in POSE_PARAMETERS])
     if unobservable and (T_guess is None or not free.any()):
         raise CalibrationFailed(
-            f"the pairs leave {', '.join(unobservable)} open: the laser points are too few or lie"
-            " too close to one line.",
+            f"the pairs do not show {parameters_in_words(unobservable)}: the laser points are too "
+            "few or lie too close to one line.",
             advice="Add pairs at other distances and sides, or give --guess.",
         )
     if unobservable and T_guess is not None:
@@ -276,7 +276,7 @@ def _verdict(
             f" {used_rms_px:.2f} px on those used."
         )
     if unobservable:
-        verdict += f" Not observable, and as in the guess: {', '.join(unobservable)}."
+        verdict += f" Not observable, and as in the guess: {parameters_in_words(unobservable)}."
     return verdict
 
 

@@ -346,12 +346,15 @@ def _with_evidence(
         filtered, points_m, pixels, held_out, intrinsics, settings.pose
     )
     curve = reprojection_curve(points_m, pixels, intrinsics, T, filtered.used, settings.pose)
+    kind = "pairs"
+    if pairs is not found.pairs:
+        kind = f"pairs of patches, predicted by {found.pairs.distinct} matches of features,"
     estimate = ExtrinsicsEstimate(
         T_camera_lidar=T,
         covariance=covariance,
         method="features" if settings.search.refine_by == "none" else "features and patches",
         verdict=(
-            f"{np.count_nonzero(filtered.used)} pairs over {np.unique(blocks).size} parts of the "
+            f"{np.count_nonzero(filtered.used)} {kind} over {np.unique(blocks).size} parts of the "
             f"image agree on one pose; pairs that were held out are reprojected to "
             f"{rms_px:.2f} px."
         ),

@@ -10,7 +10,12 @@ from fusion_core.calibration.planar.natural_settings import NaturalSettings
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
-from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
+from fusion_core.model.extrinsics import (
+    POSE_PARAMETER_WORDS,
+    POSE_PARAMETERS,
+    ExtrinsicsEstimate,
+    parameters_in_words,
+)
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.calibrate.natural_fit import PoseFit, UprightImages
 
@@ -153,7 +158,7 @@ def _verdict(
                 "out."
             )
     if unobservable:
-        text += f" Not observable: {', '.join(unobservable)}."
+        text += f" Not observable: {parameters_in_words(unobservable)}."
     return text
 
 
@@ -182,7 +187,10 @@ def _notes(
     for name in unobservable:
         deviation = dict(zip(POSE_PARAMETERS, sd, strict=True))[name]
         shown = f"{np.rad2deg(deviation):.2f} deg" if name.endswith("rad") else f"{deviation:.3f} m"
-        yield f"{name} is not observable: it is known to {shown} (one standard deviation)."
+        yield (
+            f"Not observable: {POSE_PARAMETER_WORDS[name]}, known to {shown} (one standard "
+            "deviation)."
+        )
     if settings.lidar_height_m is None and any(name.endswith("_m") for name in unobservable):
         yield (
             "Walls do not show how high the LiDAR's plane is: measure its height above the floor "

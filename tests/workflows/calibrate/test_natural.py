@@ -78,7 +78,7 @@ def test_all_six_degrees_are_found_without_a_guess(rolled) -> None:
     assert "y_m" in found.unobservable
     assert set(found.unobservable) <= {"x_m", "y_m"}
     assert found.sd[4] is None
-    assert any("y_m is not observable" in note for note in found.notes)
+    assert any("Not observable: place below the camera, known" in note for note in found.notes)
     np.testing.assert_array_equal(found.T_camera_lidar, again.T_camera_lidar)
     np.testing.assert_array_equal(found.covariance, again.covariance)
     assert found.verdict == again.verdict
