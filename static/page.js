@@ -367,7 +367,8 @@
   });
   wish.addEventListener("change", screen);
   let resized = 0;
-  addEventListener("resize", () => {
+  // Without its object it would be the image whose handler runs this script.
+  window.addEventListener("resize", () => {
     clearTimeout(resized);
     resized = setTimeout(screen, 200);
   });

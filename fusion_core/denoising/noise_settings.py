@@ -8,7 +8,12 @@ from fusion_core.settings import StageSettings, setting
 class NoiseSettings(StageSettings):
     """The threshold epsilon and what counts as support by neighbours."""
 
-    epsilon: float = setting(2.6, "Threshold of eq. (6), in epsilon_unit", ge=1e-6, le=100.0)
+    epsilon: float = setting(
+        2.6,
+        "A beam and its pixel that differ by more are noise: ε of eq. (6), in epsilon_unit",
+        ge=1e-6,
+        le=100.0,
+    )
     epsilon_unit: Literal["sigma", "E", "m"] = setting(
         "sigma", "Unit of epsilon: the learned noise scale, the frame's mean error E, or metres"
     )

@@ -12,7 +12,7 @@ def test_pictures_fit_their_panels(window_px: tuple[int, int], is_large: bool) -
     sizes = page_sizes(width_px, height_px, is_large=is_large)
     assert sizes.picture_px[0] >= 270
     assert sizes.picture_px[1] > 100
-    assert sizes.profile_px[1] >= 70
+    assert sizes.profile_px[1] >= 100
     if width_px >= 1280:
         # The scene keeps most of the width that the window leaves it, and half of a wide one.
         assert sizes.left_px + sizes.right_px + sizes.between_px <= width_px

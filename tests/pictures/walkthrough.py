@@ -15,6 +15,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.client_session import ClientSession
 from scanloom.page.events import PictureName
 from scanloom.server.workbench import ServeOptions, Workbench
@@ -24,6 +25,7 @@ PICTURE = Path(__file__).parents[2] / "samples" / "walkthrough.webp"
 MOST_BYTES = 3 << 20
 _LOADED_S = 180.0
 _WIDTH_PX, _HEIGHT_PX = 1200, 675
+_SCENE_PX = (800.0, 250.0)
 # How long each picture stays, and the last one.
 _SHOWN_MS, _END_MS = 1200, 3000
 # Without a graphics card the scene takes this long to follow.
@@ -45,8 +47,20 @@ class Walk:
         self.pictures.append(shot.resize((_WIDTH_PX, _HEIGHT_PX), Image.Resampling.LANCZOS))
 
     def key(self, name: str) -> None:
-        """Press a key of the page."""
+        """Press a key of the page, with the pointer where it reads nothing out."""
+        self._page.mouse.move(_SCENE_PX[0], _SCENE_PX[1])
         self._page.keyboard.press(name)
+        self.take()
+
+    def undo_epsilon(self) -> None:
+        """Take back all changes of the threshold; a drag on a slow machine may be several."""
+        epsilon = PRESETS["default"].noise.epsilon
+        while self._session.view.settings.noise.epsilon != epsilon:
+            before = self._session.view
+            self._page.keyboard.press("Control+z")
+            until = time.monotonic() + _LOADED_S
+            while self._session.view == before and time.monotonic() < until:
+                self._page.wait_for_timeout(50.0)
         self.take()
 
     def point(self, name: PictureName, right: float, down: float, *, click: bool = False) -> None:
@@ -127,9 +141,9 @@ def _walk(walk: Walk) -> None:
     for right in (0.2, 0.45, 0.75):
         walk.point("depth", right, 0.65)
     walk.point("profile", 0.72, 0.5, click=True)
-    for by_px in (40.0, 120.0, -10.0):
+    for by_px in (40.0, 120.0):
         walk.drag_epsilon(by_px)
-    walk.key("Control+z")
+    walk.undo_epsilon()
     for right in (0.2, 0.4, 0.8):
         walk.point("time", right, 0.5, click=True)
     walk.key("m")

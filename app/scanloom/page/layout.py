@@ -1,5 +1,6 @@
 """Where the page's parts stand: pictures to the left, time below, controls to the right."""
 
+import math
 from dataclasses import dataclass
 
 import viser
@@ -20,11 +21,14 @@ _LEAST_WIDTH_PX = 320
 _HEAD_PX, _LARGE_HEAD_PX, _MARGIN_PX = 100, 145, 20
 # What the time panel shows beside the range profile.
 _TIME_PX = 205
-_LEAST_PROFILE_PX = 90
+# Of the range profile as drawn, whose legend may take two lines.
+_LEAST_PROFILE_PX = 110
 # Narrower pictures have no room for their scale.
 _LEAST_PICTURE_PX = 270
 # As the page's style sheet enlarges letters for a projector.
 _LARGE = 1.25
+# Large controls get a wider column, so that sliders can be dragged, but leave this to the scene.
+_SCENE_SHARE = 0.45
 # Narrower windows show all panels as sections of one sheet at the bottom, by viser.
 _PHONE_PX = 768
 # As the page's style sheet limits that sheet.
@@ -47,19 +51,22 @@ class PageSizes:
 
 
 def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> PageSizes:
-    """The sizes for a window of this size. ``is_large``: pictures are drawn smaller, and the page
-    enlarges them with their letters."""
+    """The sizes for a window of this size. ``is_large``: pictures are drawn smaller, the page
+    enlarges them with their letters, and the controls have a wider column."""
     is_wide, is_phone = width_px >= _WIDE_PX, width_px < _PHONE_PX
     left_px, right_px = (_LEFT_PX, _RIGHT_PX) if is_wide else (_NARROW_LEFT_PX, _NARROW_RIGHT_PX)
+    if is_large:
+        free_px = math.floor((1.0 - _SCENE_SHARE) * width_px) - left_px - 2 * _GAP_PX
+        right_px = max(min(round(_LARGE * right_px), free_px), right_px)
     bottom_px = _BOTTOM_PX if height_px >= _LOW_SCREEN_PX else _LOW_BOTTOM_PX
     between_px = max(width_px - left_px - right_px - 2 * _GAP_PX, _LEAST_WIDTH_PX)
     sheet_px = max(width_px - 2 * _MARGIN_PX, _LEAST_WIDTH_PX)
     picture_width_px = sheet_px if is_phone else left_px - _MARGIN_PX
-    profile_px = max(bottom_px - _TIME_PX, _LEAST_PROFILE_PX)
     zoom = _LARGE if is_large else 1.0
+    profile_px = max(bottom_px - _TIME_PX, round(_LEAST_PROFILE_PX * zoom))
     # Both pictures are seen whole, unless they would be flat.
-    free_px = height_px // 2 - (_LARGE_HEAD_PX if is_large else _HEAD_PX)
-    picture_height_px = max(free_px, 3 * picture_width_px // 5)
+    free_height_px = height_px // 2 - (_LARGE_HEAD_PX if is_large else _HEAD_PX)
+    picture_height_px = max(free_height_px, 3 * picture_width_px // 5)
     drawn_width_px = max(picture_width_px / zoom, _LEAST_PICTURE_PX)
     picture_zoom = picture_width_px / drawn_width_px
     profile_width_px = sheet_px if is_phone else between_px - _MARGIN_PX

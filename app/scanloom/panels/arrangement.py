@@ -26,25 +26,25 @@ class ArrangementPanel(Panel):
         self._layout, self._pictures = layout, pictures
         self._timeline, self._profile = timeline, profile
         self._sizes: PageSizes | None = None
-        self._layout.arrange(page_sizes(*self._session.window_px))
-        self._size_pictures(is_large=session.view.large_text)
+        self._arrange(is_large=session.view.large_text)
         bridge.on_screen(self._on_screen)
 
     def show(self, frame_view: FrameView) -> None:
-        """Size the pictures for the window and the view's size of letters."""
-        self._size_pictures(is_large=frame_view.view.large_text)
+        """Size the page for the window and the view's size of letters."""
+        self._arrange(is_large=frame_view.view.large_text)
 
     def _on_screen(self, screen: Screen) -> None:
         self._session.window_px = screen.width_px, screen.height_px
-        self._layout.arrange(page_sizes(*self._session.window_px))
+        self._arrange(is_large=self._session.view.large_text)
         self._session.set_prefers_dark(screen.prefers_dark)
         self._session.refresh()
 
-    def _size_pictures(self, *, is_large: bool) -> None:
+    def _arrange(self, *, is_large: bool) -> None:
         sizes = page_sizes(*self._session.window_px, is_large=is_large)
         if sizes == self._sizes:
             return
         self._sizes = sizes
+        self._layout.arrange(sizes)
         for picture in self._pictures:
             picture.set_size(*sizes.picture_px)
         self._profile.set_size(*sizes.profile_px)

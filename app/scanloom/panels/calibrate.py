@@ -13,7 +13,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.workflows.fuse.color_of_frame import remap_color
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.frame_view import FrameView
 from scanloom.jobs.save_pose import estimate_of, save_pose
 from scanloom.page.bridge import PageBridge
 from scanloom.page.markup import paragraph, text_box
@@ -64,7 +64,6 @@ class CalibratePanel(Panel):
         self._drawn: tuple[object, ...] = ()
         self._planar = gui.add_folder(None)
         with self._planar:
-            self._message = gui.add_html("", visible=False)
             controls = self._controls = Controls(gui, session)
             which = self._which = gui.add_dropdown(
                 "Show",
@@ -142,8 +141,6 @@ class CalibratePanel(Panel):
             self._sources.show(frame_view)
             self._show_file(frame_view)
             shown = frame_view.calibration
-            text = "" if shown is not None else missing_result_text(frame_view)
-            update_widget(self._message, content=paragraph(text), visible=bool(text))
             self._show_pictures(frame_view, shown)
 
     def close(self) -> None:

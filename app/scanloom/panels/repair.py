@@ -1,6 +1,5 @@
 """The Repair panel: classes, conflicts, one beam in detail, the depth image before and after."""
 
-import html
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ import viser
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.frame_view import FrameView
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
@@ -24,6 +23,7 @@ from scanloom.state.view import View
 # Slightly wider than the panel, so that an enlarged picture stays sharp.
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _NO_CONFLICTS = "none in this frame"
+_UNKNOWN = "not known: the frame is not classified"
 _NO_LAYER = "none: the automatic classes"
 
 
@@ -38,7 +38,6 @@ class RepairPanel(Panel):
         # The runs of conflicts by their labels in the list.
         self._runs: dict[str, ConflictRun] = {}
         self._controls = Controls(gui, session)
-        self._message = gui.add_html("", visible=False)
         controls = self._controls
         self._epsilon = EpsilonSliders(gui, session, controls)
         repaired = gui.add_checkbox(
@@ -110,8 +109,7 @@ class RepairPanel(Panel):
         self._epsilon.show(view)
         if view.panel != "Repair":
             return
-        missing = f'<div style="padding:0.5em">{html.escape(missing_result_text(frame_view))}</div>'
-        update_widget(self._message, content=missing, visible=frame_view.fused is None)
+        update_widget(self._step, visible=frame_view.fused is not None)
         if frame_view.fused is None:
             self._hide()
             return
@@ -182,7 +180,7 @@ class RepairPanel(Panel):
         for handle in self._pictures:
             update_widget(handle, visible=False)
         self._runs = {}
-        update_widget(self._conflicts, options=(_NO_CONFLICTS,))
+        update_widget(self._conflicts, options=(_UNKNOWN,))
         for table in (self._classes, self._beam_details):
             update_widget(table, content="")
 

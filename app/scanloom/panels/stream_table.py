@@ -1,7 +1,7 @@
 """The streams of a recording as HTML: counts, rates, gaps, possible commands, warnings."""
 
 import html
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
@@ -18,16 +18,22 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
     rows = "".join(_row(topic) + _gap_row(gaps.get(topic["name"])) for topic in described["topics"])
     head = "".join(f"{_HEAD}{name}</th>" for name in ("stream", "role", "count", "Hz"))
     lines = [html.escape(line) for line in (*_about_gaps(gaps), *described["can"])]
-    lines += [f"<b>Warning:</b> {html.escape(line)}" for line in described["warnings"]]
+    # Above the table: damage must be seen without scrolling.
+    warnings = [f"<b>Warning:</b> {html.escape(line)}" for line in described["warnings"]]
     duration_s = described["duration_s"]
     time = "" if duration_s is None else f", {duration_s:.1f} s"
     return (
         "<div style='padding:0 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"<div>{html.escape(described['format'])}{time}</div>"
-        f"<table style='width:100%;font-size:0.95em'><tr>{head}</tr>{rows}</table>"
-        + "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in lines)
+        + _paragraphs(warnings)
+        + f"<table style='width:100%;font-size:0.95em'><tr>{head}</tr>{rows}</table>"
+        + _paragraphs(lines)
         + "</div>"
     )
+
+
+def _paragraphs(lines: Iterable[str]) -> str:
+    return "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in lines)
 
 
 def _row(topic: Mapping[str, Any]) -> str:

@@ -40,7 +40,8 @@ class CameraNodes:
         self._label = scene.add_label(
             f"{folder}/frustum/label",
             "depth camera",
-            anchor="top-center",
+            # Away from the LiDAR's, which stands to the right: from above both are in one place.
+            anchor="top-right",
             font_screen_scale=0.9,
         )
 

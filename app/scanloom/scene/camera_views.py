@@ -224,13 +224,21 @@ def from_above(extent: StageExtent, window: SceneWindow) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
     near_m = extent.near_m if len(extent.near_m) else extent.surface_m
     ahead, left = extent.ahead(1.0, 0.0, 0.0), extent.ahead(0.0, 1.0, 0.0)
-    seen_m = np.concatenate([near_m, extent.sensors_m])
-    # Beside and behind the rig as far as the camera looks ahead.
-    forward, aside = seen_m @ ahead, seen_m @ left
-    low, high = float(np.percentile(forward, 2.0)), float(np.percentile(forward, 98.0))
-    right, left_most = float(np.percentile(aside, 2.0)), float(np.percentile(aside, 98.0))
+    # Beside and behind the rig as far as the camera looks ahead, and the sensors whole.
+    (low, high), (right, left_most) = (
+        _reach(near_m @ axis, extent.sensors_m @ axis) for axis in (ahead, left)
+    )
     middle_m = 0.5 * (low + high) * ahead + 0.5 * (right + left_most) * left
     return _above(middle_m, (left_most - right, high - low), window, up=ahead)
+
+
+def _reach(points_m: FloatArray, sensors_m: FloatArray) -> tuple[float, float]:
+    """The least and the greatest coordinate of nearly all points and of the whole sensors."""
+    low_m, high_m = sensors_m.min() - _SENSOR_M, sensors_m.max() + _SENSOR_M
+    if len(points_m):
+        low_m = min(low_m, np.percentile(points_m, 2.0))
+        high_m = max(high_m, np.percentile(points_m, 98.0))
+    return float(low_m), float(high_m)
 
 
 def map_from_above(

@@ -110,7 +110,7 @@ class SceneNodes:
         )
         # A label goes with its node: it is placed once.
         self._body_label = scene.add_label(
-            "/lidar/label", "LiDAR", position=(0.0, 0.0, 0.06), **_LABEL
+            "/lidar/label", "LiDAR", position=(0.0, 0.0, 0.06), **_LABEL | {"anchor": "bottom-left"}
         )
         self._labels = {
             name: scene.add_label(f"/labels/{name}", text, visible=False, **_LABEL)

@@ -6,7 +6,10 @@ from scanloom.state.open_recording import OpenRecording
 
 def fused_sentence(open_recording: OpenRecording) -> str:
     """What a recording that can be fused holds."""
-    images = _counted(open_recording, "depth image", _of_cameras(open_recording.fuse_session))
+    session = open_recording.fuse_session
+    images = _counted(open_recording, "depth image", _of_cameras(session))
+    if session.virtual_row is not None:
+        return f"{images}, row {session.virtual_row} as a virtual LiDAR"
     return f"{images}, and a LiDAR"
 
 

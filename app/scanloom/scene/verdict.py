@@ -61,10 +61,11 @@ def _recording(frame_view: FrameView) -> Verdict:
         return Verdict(sentence=sentence, detail=f"{missing} {notes}".rstrip())
     yaw_deg = float(np.rad2deg(wrap_angle(frame_view.chain.alignment.mount.yaw_rad)))
     side = "left" if yaw_deg > 0.0 else "right"
+    who = "camera" if len(frame_view.chain.session.rig.cameras) == 1 else "rig of cameras"
     looks = "straight ahead" if abs(yaw_deg) < 0.5 else f"{abs(yaw_deg):.1f}° to the {side}"
     return Verdict(
         sentence=sentence,
-        detail=f"Seen from the LiDAR, the camera looks {looks}: {_source(frame_view.chain)}. "
+        detail=f"Seen from the LiDAR, the {who} looks {looks}: {_source(frame_view.chain)}. "
         f"{notes}".rstrip(),
     )
 

@@ -1,10 +1,13 @@
 """What is always in sight: the scene, the streams, the frames and what differs from the preset."""
 
+from collections.abc import Callable
 from pathlib import Path
 
-from playwright.sync_api import expect
+from playwright.sync_api import Locator, expect
 
 from fusion_core.workflows.info import info
+from scanloom.page.layout import page_sizes
+from scanloom.state.view import View
 from tests.app.browser.person import Person, colourful
 
 
@@ -32,6 +35,34 @@ def test_the_legend_over_the_scene_switches_a_layer(person: Person) -> None:
     assert person.session.view.hidden_layers == {"curve"}
     curve.press("Enter")
     expect(curve).to_have_attribute("aria-pressed", "true")
+
+
+def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
+    arrive: Callable[..., Person], small_scene: Path
+) -> None:
+    person = arrive(viewport={"width": 1600, "height": 900})
+    person.look_at(View(recording=small_scene.name, panel="Repair"))
+    person.page.set_viewport_size({"width": 1280, "height": 720})
+    person.wait_until(lambda: person.session.window_px == (1280, 720))
+    person.page.keyboard.press("p")
+    canvas = person.page.locator("canvas[data-engine]")
+    steps = person.page.get_by_label("Steps").get_by_role("button")
+    slider = person.page.get_by_role("slider").locator("visible=true").first.locator("xpath=../..")
+    for size in (page_sizes(1280, 720, is_large=True), page_sizes(1280, 720)):
+        # viser rounds by a few pixels.
+        person.wait_until(
+            lambda size=size: abs(width_px(canvas) - size.between_px - 24) < 16  # type: ignore[misc]
+        )
+        assert len({round(one["y"]) for step in steps.all() if (one := step.bounding_box())}) == 1
+        # It could not be dragged if it were shorter.
+        assert width_px(slider) > 60
+        person.page.keyboard.press("p")
+
+
+def width_px(locator: Locator) -> float:
+    box = locator.bounding_box()
+    assert box is not None
+    return float(box["width"])
 
 
 def coloured_fraction(person: Person, left_px: float, right_px: float) -> float:

@@ -17,6 +17,7 @@ from scanloom.frame_view import FrameView
 from scanloom.panels.depth_cameras import distinct_labels
 from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.stream_table import stream_table
+from scanloom.scene.verdict import verdict_of
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
@@ -281,6 +282,7 @@ def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_sc
 def test_a_virtual_lidar_has_no_gaps(bench: Bench, small_scene: Path) -> None:
     bench.change(recording=small_scene.name, virtual_row=60)
     bench.words("has the stamps of its images")
+    assert verdict_of(bench.frame_view).sentence.endswith(", row 60 as a virtual LiDAR")
     bench.until(lambda: not bench._plot().props["visible"])
 
 
@@ -355,4 +357,4 @@ def test_what_a_recording_says_is_text() -> None:
     table = described()
     assert "ROS &lt;2&gt;, 6.0 s" in table
     assert "It can be &lt;fused&gt;." in table
-    assert "<b>Warning:</b> /b is &lt;broken&gt;." in table
+    assert table.index("<b>Warning:</b> /b is &lt;broken&gt;.") < table.index("<table")

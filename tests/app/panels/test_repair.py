@@ -18,6 +18,7 @@ from scanloom.plots.palette import class_color, color_of
 from scanloom.plots.theme import DARK, LIGHT
 from scanloom.resources import sample_path
 from scanloom.scene.frame_summary import conflict_runs, facts_of_beam
+from scanloom.scene.verdict import verdict_of
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
@@ -280,12 +281,16 @@ def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
 
 def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:
     failure = ScanLoomError("no peak in <b>/scan</b>.", advice="Go on.")
-    bench.panel.show(replace(bench.frame_view, frame=None, failure=failure))
-    bench.html("no peak in &lt;b&gt;/scan&lt;/b&gt;. Go on.")
+    failed = replace(bench.frame_view, frame=None, failure=failure)
+    bench.panel.show(failed)
+    # Above the panel, once.
+    assert verdict_of(failed).detail == "no peak in <b>/scan</b>. Go on."
     assert not any(handle.visible for handle in bench.panel._pictures)
     assert bench.panel._classes.content == ""
-    assert bench.panel._conflicts.options == ("none in this frame",)
+    assert bench.panel._conflicts.options == ("not known: the frame is not classified",)
+    assert not bench.panel._step.visible
     bench.panel.show(bench.frame_view)
+    assert bench.panel._step.visible
     assert all(handle.visible for handle in bench.panel._pictures)
 
 

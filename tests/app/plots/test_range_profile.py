@@ -12,6 +12,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
+from scanloom.page.layout import page_sizes
 from scanloom.plots.palette import Color, class_color, color_of
 from scanloom.plots.range_profile import RangeProfile, range_profile, scan_profile
 from scanloom.plots.theme import DARK
@@ -86,6 +87,21 @@ def test_left_is_left_and_far_is_up() -> None:
     assert right is not None
     assert left[0] < right[0]
     assert left[1] > right[1]
+
+
+@pytest.mark.parametrize("is_large", [False, True])
+@pytest.mark.parametrize(
+    "window_px", [(1600, 900), (1280, 720), (1180, 720), (800, 600), (390, 844)]
+)
+def test_each_screen_has_room_for_the_longest_legend(
+    window_px: tuple[int, int], is_large: bool
+) -> None:
+    width_px, height_px = page_sizes(*window_px, is_large=is_large).profile_px
+    ranges_m = np.full(61, 2.5)
+    classes = np.full(61, NoiseClass.HOLE)
+    frame = fused(match(ranges_m, ranges_m), classes, ranges_m)
+    picture = range_profile(frame, width_px=width_px, height_px=height_px)
+    assert picture.axes.box.height >= 25
 
 
 def test_where_both_agree_both_colours_are_seen() -> None:

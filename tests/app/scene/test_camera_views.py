@@ -160,6 +160,15 @@ def test_from_above_ahead_is_up_and_left_is_left():
     assert ((y <= 1.0 - 2.0 * ABOVE) & (y >= -1.0 + 2.0 * COVERED)).all()
 
 
+@pytest.mark.parametrize("aspect", [0.46, 1.5])
+def test_from_above_the_sensors_of_a_scan_that_lies_ahead_are_in_sight(aspect):
+    ahead_m = np.column_stack([np.linspace(3.0, 9.0, 200), np.full(200, 0.5), np.zeros(200)])
+    extent = replace(EXTENT, near_m=ahead_m.astype(np.float32), yaw_rad=0.0)
+    x, y = on_screen(from_above(extent, window(aspect)), extent.sensors_m).T
+    assert (np.abs(x) < aspect).all()
+    assert ((y < 1.0 - 2.0 * ABOVE) & (y > -1.0 + 2.0 * COVERED)).all()
+
+
 @pytest.mark.parametrize("aspect", [0.46, 0.6, 0.85, 1.5])
 def test_map_view_shows_the_whole_map_upright(aspect):
     T_lidar_map = invert_transform(transform_from_planar(np.array([1.0, 2.0, 0.7])))
