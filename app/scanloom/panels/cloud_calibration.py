@@ -32,8 +32,8 @@ from scanloom.plots.line_plot import (
     PlotLabels,
     add_line_plot,
     dots,
+    set_limits,
     set_theme,
-    set_y_limits,
 )
 from scanloom.plots.match_picture import MatchPicture, match_picture
 from scanloom.plots.palette import color_of
@@ -234,7 +234,7 @@ class CloudCalibration:
         errors = np.concatenate([curve.unfiltered_px, curve.filtered_px])
         errors = errors[np.isfinite(errors)]
         top = float(np.percentile(errors, _CURVE_PERCENTILE)) if errors.size else 1.0
-        set_y_limits(self._curve, 0.0, round(_CURVE_ROOM * top, 1) or 1.0)
+        set_limits(self._curve, 0.0, round(_CURVE_ROOM * top, 1) or 1.0)
         update_widget(self._curve, visible=errors.size > 0)
 
     def _show_clouds(self, found: "RecordedCalibration", opacity: float, theme: Theme) -> None:

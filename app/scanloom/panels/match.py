@@ -15,8 +15,8 @@ from scanloom.plots.line_plot import (
     PlotLabels,
     add_line_plot,
     dots,
+    set_limits,
     set_theme,
-    set_y_limits,
     whole_limits,
 )
 from scanloom.plots.palette import color_of
@@ -119,7 +119,7 @@ class MatchPanel(Panel):
             match, place, masked=frame_view.view.settings.search.mask_holes
         )
         self._curves.data = np.arange(lidar_m.size, dtype=np.float64), depth_m, lidar_m
-        set_y_limits(self._curves, *whole_limits(lidar_m, depth_m))
+        set_limits(self._curves, *whole_limits(lidar_m, depth_m))
         update_widget(self._u, value=round(place[0], 2))
         update_widget(self._v, value=round(place[1], 1))
 

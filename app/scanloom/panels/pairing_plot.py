@@ -15,8 +15,8 @@ from scanloom.plots.line_plot import (
     add_line_plot,
     dots,
     line,
+    set_limits,
     set_theme,
-    set_y_limits,
     with_vertical_line,
 )
 from scanloom.plots.palette import color_of
@@ -73,6 +73,7 @@ class PairingPlot:
         if self._marked != (curves, index):
             self._marked = curves, index
             self._plot.data = curves.data_at(int(frame_view.open_recording.frames.times_ns[index]))
+            set_limits(self._plot, -curves.limit_ms, curves.limit_ms)
 
     def _curves_of(
         self, stamps: PairingStamps, offset_ms: float, frame_view: FrameView
@@ -84,7 +85,6 @@ class PairingPlot:
         gaps = stamps.gaps(offset_ms, settings.time)
         first_ns = int(frame_view.open_recording.frames.times_ns[0])
         self._curves = curves = GapCurves(gaps, first_ns)
-        set_y_limits(self._plot, -curves.limit_ms, curves.limit_ms)
         update_widget(self._summary, content=_summary_text(gaps, offset_ms, settings))
         return curves
 

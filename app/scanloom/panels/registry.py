@@ -10,7 +10,7 @@ To add a panel:
     from scanloom.client_session import Panel
     from scanloom.frame_view import FrameView
     from scanloom.plots.line_plot import (
-        PlotLabels, add_line_plot, line, set_y_limits, whole_limits
+        PlotLabels, add_line_plot, line, set_limits, whole_limits
     )
     from scanloom.plots.palette import color_of
     from scanloom.scene.range_histogram import range_histogram
@@ -27,7 +27,7 @@ To add a panel:
             if frame_view.view.panel == "Ranges" and match is not None:
                 range_m, beams = range_histogram(match.scan)
                 self._plot.data = range_m, beams
-                set_y_limits(self._plot, *whole_limits(beams))
+                set_limits(self._plot, *whole_limits(beams))
             # Hidden at first, and where the frame has no result.
             self._plot.visible = match is not None
 

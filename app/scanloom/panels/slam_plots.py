@@ -14,7 +14,7 @@ from scanloom.plots.line_plot import (
     add_line_plot,
     dots,
     line,
-    set_y_limits,
+    set_limits,
     whole_limits,
 )
 from scanloom.plots.palette import Color, color_of
@@ -53,7 +53,7 @@ def show_effective(
     known = np.isfinite(effective)
     if known.any():
         plot.data = times_s[known], effective[known], np.full(int(known.sum()), resampling_at)
-        set_y_limits(plot, 0.0, 1.05 * particles)
+        set_limits(plot, 0.0, 1.05 * particles)
     update_widget(plot, visible=bool(known.any()))
 
 
@@ -113,5 +113,5 @@ def show_distance(plot: viser.GuiUplotHandle, found: TrajectoryDifference | None
     if found is not None:
         distances_cm = 100.0 * found.distances_m
         plot.data = found.times_s, distances_cm
-        set_y_limits(plot, 0.0, whole_limits(distances_cm)[1])
+        set_limits(plot, 0.0, whole_limits(distances_cm)[1])
     update_widget(plot, visible=found is not None)

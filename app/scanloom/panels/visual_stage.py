@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
-from fusion_core.model.conventions import Float32Array, FloatArray
+from fusion_core.model.conventions import FloatArray
 from scanloom.client_session import ClientSession
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.panels.scene_viewpoint import scene_window
 from scanloom.scene import camera_views
 from scanloom.scene.camera_views import CameraView
-from scanloom.scene.cutaway import hides_path, path_and_loops
 from scanloom.scene.level_of_detail import POINTS_MAX, DetailLevels, point_width_m
 from scanloom.scene.map_nodes import MapPlane
 from scanloom.scene.visual_nodes import PickedKeyframe, VisualNodes
@@ -31,8 +30,6 @@ _CLICK_M = 0.07
 _CAMERA_M = 0.15
 # A map that grows by less of its size is still seen nearly whole.
 _OUTGROWN = 0.04
-# The layers on which it depends what is sent of the cloud.
-_OF_CLOUD: tuple[Layer, ...] = ("cloud", "map", "keyframes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +39,6 @@ class _Look:
     view: CameraView
     aspect: float
     cloud: DetailLevels | None
-    path_m: Float32Array | None
 
 
 class VisualStage:
@@ -122,9 +118,7 @@ class VisualStage:
         """Show these layers of the map where it ``is_seen``."""
         with self._drawing:
             is_entered = is_seen and not self._is_seen
-            # The cloud is sent with a slit where the path is seen.
-            before = [self._nodes.shows(layer) for layer in _OF_CLOUD]
-            is_cloud_back = "cloud" in layers and before != [one in layers for one in _OF_CLOUD]
+            is_cloud_back = "cloud" in layers and not self._nodes.shows("cloud")
             self._is_seen = is_seen
             self._nodes.set_dark(is_dark=is_dark)
             self._nodes.show_layers(layers if is_seen else frozenset(), is_seen=is_seen)
@@ -225,9 +219,6 @@ class VisualStage:
         if cloud is None or not self._nodes.wants_cloud or not (is_newest() or is_overdue):
             return
         chosen = cloud.seen_from(look.view, look.aspect, POINTS_MAX)
-        if look.path_m is not None:
-            hides = hides_path(cloud.points_m[chosen], look.path_m, look.view, look.aspect)
-            chosen = chosen[~hides]
         points_m, rgb = cloud.points_m[chosen], cloud.rgb[chosen]
         width_m = point_width_m(points_m)
         with self._drawing, self._session.batch_updates():
@@ -239,12 +230,7 @@ class VisualStage:
 
     def _look_now(self) -> _Look:
         view = camera_views.view_of(self._camera)
-        aspect, picture = scene_window(self._camera, self._session).aspect, self._picture
-        has_path = picture is not None and (
-            self._nodes.shows("map") or self._nodes.shows("keyframes")
-        )
-        path_m = path_and_loops(picture) if picture is not None and has_path else None
-        return _Look(view, aspect, self._cloud, path_m)
+        return _Look(view, scene_window(self._camera, self._session).aspect, self._cloud)
 
     def _go(self, view: CameraView) -> None:
         with self._session.batch_updates():

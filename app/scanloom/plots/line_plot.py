@@ -99,12 +99,26 @@ def _add_plot(
     )
 
 
-def set_y_limits(plot: viser.GuiUplotHandle, low: float, high: float) -> None:
-    """New limits recreate the plot in the browser, so they should seldom change."""
-    x_falls = plot.scales is not None and plot.scales["x"].get("dir") == -1
-    scales = _scales((low, high), x_falls=x_falls)
+def set_limits(plot: viser.GuiUplotHandle, low: float, high: float) -> None:
+    """The limits of y, and of x around the plot's data, rounded outwards; after new data.
+
+    New limits recreate the plot in the browser, so they should seldom change. Without limits of x
+    viser 1.1.1 would show the part of the new data in which all data before would lie.
+    """
+    assert plot.scales is not None, "add_line_plot sets scales"
+    y = {**plot.scales["y"], "range": (low, high)}
+    scales = {"x": {**plot.scales["x"], "range": _outwards(plot.data[0])}, "y": y}
     if plot.scales != scales:
-        plot.scales = scales
+        plot.scales = cast(dict[str, uplot.Scale], scales)
+
+
+def _outwards(x: FloatArray) -> tuple[float, float]:
+    """The least and the greatest of rising values, rounded to half of a power of ten."""
+    least, greatest = float(x[0]), float(x[-1])
+    if not greatest > least:
+        return least, least + 1.0
+    step = 0.5 * 10.0 ** np.floor(np.log10(greatest - least))
+    return float(step * np.floor(least / step)), float(step * np.ceil(greatest / step))
 
 
 def no_data(series: int) -> tuple[FloatArray, ...]:

@@ -80,8 +80,7 @@ LAYERS: dict[Layer, LayerInfo] = {
     "cloud": _layer(
         "Cloud",
         "What visual SLAM has mapped, in its own colours, or as boxes of its octree. At most "
-        "200,000 points are sent at a time, most of them where you look; none of what would hide "
-        "the path and the keyframes",
+        "200,000 points are sent at a time, most of them where you look",
         "Map",
     ),
     "keyframes": _layer(

@@ -75,7 +75,7 @@ def point_width_m(points_m: Float32Array) -> float:
 
 def in_sight(away_m: Float32Array, view: CameraView, aspect: float) -> BoolArray:
     """(P,) which points, (P, 3) from the camera's place on, are on its screen or just beside."""
-    ahead, right, up = (axis.astype(np.float32) for axis in screen_axes(view))
+    ahead, right, up = (axis.astype(np.float32) for axis in _axes(view))
     depth = away_m @ ahead
     half = np.float32(_SCREEN_EDGE * np.tan(0.5 * view.fov_rad))
     is_in: BoolArray = (
@@ -86,8 +86,7 @@ def in_sight(away_m: Float32Array, view: CameraView, aspect: float) -> BoolArray
     return is_in
 
 
-def screen_axes(view: CameraView) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(3,) ahead, to the right and up on the screen of a view."""
+def _axes(view: CameraView) -> tuple[FloatArray, FloatArray, FloatArray]:
     seen = facing(view.position_m, view.look_at_m, view.up, view.fov_rad)
     ahead: FloatArray = np.cross(seen.up, seen.right)
     return ahead, seen.right, seen.up

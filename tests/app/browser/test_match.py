@@ -8,6 +8,11 @@ from playwright.sync_api import expect
 from scanloom.panels.pictures import SimilarityPanel
 from tests.app.browser.person import Person, match_of, peak_of
 
+# Of each plot: the least and the greatest x that are seen, and the last of the data.
+SHOWN_X = """Object.values(window.__viserTestpoints?.uplots ?? {})
+    .map(({chart}) => [chart.scales.x.min, chart.scales.x.max, chart.data[0].at(-1)])
+    .filter(shown => shown[2] > 1 && shown[0] !== null)"""
+
 
 def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     person.open_step("Match")
@@ -58,3 +63,13 @@ def test_a_click_on_the_similarity_picks_the_offset_under_it(person: Person) -> 
     person.wait_for_number("u (samples)", u, within=0.01)
     # Rows are shown whole.
     person.wait_for_number("v (row)", v, within=0.51)
+
+
+def test_both_curves_are_seen_whole(person: Person) -> None:
+    person.key("Alt+2")
+    person.wait_for_panel("Match")
+    person.wait_until(lambda: bool(person.page.evaluate(SHOWN_X)))
+    # viser draws again when the limits of y have changed, and has lost those of x by then.
+    ((least, greatest, last),) = person.page.evaluate(SHOWN_X)
+    assert least == 0.0
+    assert last <= greatest < 1.5 * last

@@ -12,12 +12,13 @@ from scanloom.plots.line_plot import (
     INK,
     NEUTRAL,
     PlotLabels,
+    _outwards,
     add_line_plot,
     css,
     dots,
     line,
+    set_limits,
     set_theme,
-    set_y_limits,
     whole_limits,
     with_vertical_line,
 )
@@ -47,12 +48,25 @@ def test_a_plot_has_its_labels_and_begins_empty_and_hidden(
     scales = plot.scales
     assert scales is not None
     assert scales["x"]["dir"] == (-1 if x_falls else 1)
-    set_y_limits(plot, 0.0, 1.0)
-    # The same limits are not sent again: they would set the plot up anew.
-    assert plot.scales is scales
-    set_y_limits(plot, -2.0, 2.0)
-    assert plot.scales["y"]["range"] == (-2.0, 2.0)
-    assert plot.scales["x"] == scales["x"]
+    plot.data = np.arange(58.0), np.zeros(58), np.zeros(58)
+    set_limits(plot, -2.0, 2.0)
+    limited = plot.scales
+    assert limited["y"]["range"] == (-2.0, 2.0)
+    assert limited["x"] == {**scales["x"], "range": (0.0, 60.0)}
+    # Nearly the same limits are not sent again: they would set the plot up anew.
+    plot.data = np.arange(60.0), np.zeros(60), np.zeros(60)
+    set_limits(plot, -2.0, 2.0)
+    assert plot.scales is limited
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=9))
+def test_limits_of_x_hold_all_values_and_are_near_them(values: list[float]) -> None:
+    x = np.sort(np.array(values))
+    low, high = _outwards(x)
+    assert low < high
+    assert low <= x[0] + 1e-9 * abs(x[0])
+    assert high >= x[-1] - 1e-9 * abs(x[-1])
+    assert high - low <= max(2.0 * (x[-1] - x[0]), 1.0)
 
 
 @given(st.lists(st.floats(-1e3, 1e3) | st.just(float("nan")), max_size=20))
