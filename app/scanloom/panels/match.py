@@ -128,7 +128,13 @@ def _mount_text(chain: CachedChain) -> str:
     alignment, given = chain.alignment, chain.session.rig.given
     if given is not None:
         return given_text(pose_of(chain), given.source, alignment.notes)
-    return mount_text(alignment.mount, alignment.notes)
+    estimate = alignment.estimate
+    return mount_text(
+        alignment.mount,
+        alignment.notes,
+        floor=None if estimate is None else estimate.floor,
+        is_roll_known=estimate is None or chain.session.rig.recorded_mount is not None,
+    )
 
 
 def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:

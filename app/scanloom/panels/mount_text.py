@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fusion_core.alignment.mount_floor import FloorTilt
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from scanloom.page.markup import escape_markdown
 from scanloom.state.hand_pose import HandPose
@@ -51,8 +52,17 @@ def _aside(value: float, positive: str, negative: str, unit: str, decimals: int)
     return f"{abs(value):.{decimals}f}{unit} {positive if value >= 0.0 else negative}"
 
 
-def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
-    """One line for each parameter and note, as Markdown; what is not observable is named."""
+def mount_text(
+    mount: Mount,
+    notes: Sequence[str] = (),
+    *,
+    floor: FloorTilt | None = None,
+    is_roll_known: bool = True,
+) -> str:
+    """One line for each parameter and note, as Markdown; what is not observable is named.
+
+    ``floor``: what shows the roll, unless that is known from elsewhere.
+    """
     lines = []
     unknown = []
     for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
@@ -64,6 +74,12 @@ def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
         digits = 2 if unit == " m" else 1
         number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
+    if not is_roll_known and floor is None:
+        unknown.append("how far it is rolled")
+    elif not is_roll_known and floor is not None:
+        roll_deg, sd_deg = np.rad2deg([floor.roll_rad, floor.roll_sd_rad])
+        level = "" if floor.is_rolled else ", taken as level"
+        lines.append(f"- It is rolled **{roll_deg:z.1f} ± {sd_deg:.1f}°**{level}.")
     if unknown:
         lines.append(f"- This recording does not tell {', '.join(unknown)}.")
     lines += [f"- {note}" for note in notes]
