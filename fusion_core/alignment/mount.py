@@ -196,7 +196,8 @@ def _find_mount(
     is_height_known = problem.blocks > 1 and not heights.is_at_bound
     sd[1] = spread[1] if is_height_known else np.inf
     sd[4] = np.inf if floor is None else floor.pitch_sd_rad
-    sd[2] = np.hypot(sd[2], spread[2] if floor is None else abs(heights.best[1]) * floor.pitch_sd_rad)
+    tilt_m = spread[2] if floor is None else abs(heights.best[1]) * floor.pitch_sd_rad
+    sd[2] = np.hypot(sd[2], tilt_m)
     if is_yaw_ambiguous:
         sd[0] = np.inf
     return replace(found, values=heights.best, sd=sd)

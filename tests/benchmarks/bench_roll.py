@@ -34,7 +34,8 @@ from fusion_core.workflows.fuse.settings import PRESETS
 
 # Sizes of real cameras' tilts, as far as they were meant to be level in the image.
 LEAST_ROLL_DEG, MOST_ROLL_DEG, MOST_PITCH_DEG = 1.0, 3.0, 15.0
-SHOWN = {"yaw": (0, 180.0 / np.pi), "pitch": (4, 180.0 / np.pi), "forward": (2, 1.0), "left": (3, 1)}
+DEG = 180.0 / np.pi
+SHOWN = {"yaw": (0, DEG), "pitch": (4, DEG), "forward": (2, 1.0), "left": (3, 1.0)}
 
 
 def turned(mounts: SensorMounts, pitch_rad: float, roll_rad: float) -> SensorMounts:
@@ -73,7 +74,8 @@ def estimates(path: Path) -> dict[str, MountEstimate]:
         found = align_recording(session).estimate
         with patch.object(FloorTilt, "is_rolled", False):
             level = align_recording(session).estimate
-    assert found is not None and level is not None
+    assert found is not None
+    assert level is not None
     return {"level": level, "rolled": found}
 
 
