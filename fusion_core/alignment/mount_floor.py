@@ -25,8 +25,8 @@ _FRAMES = 24
 _ROWS = 40
 # Tilts tried, and the layers that a floor is looked for in: what half a degree leaves of it.
 _PITCHES_RAD = np.deg2rad(np.arange(-20.0, 20.5, 1.0))
-# Of a camera that is meant to be level, which comes first.
-_ROLLS_RAD = np.deg2rad([0.0, -2.0, 2.0, -4.0, 4.0, -6.0, 6.0])
+# Of a camera that is meant to be level; tried where the floor is not that of a level one.
+_ROLLS_RAD = np.deg2rad([-2.0, 2.0, -4.0, 4.0, -6.0, 6.0])
 _LAYER_M = 0.04
 # So much of the images may lie below the floor: mirrors, flying pixels.
 _BELOW = 0.02
@@ -65,14 +65,29 @@ def find_floor_tilt(
 ) -> FloorTilt | None:
     """The tilt; None where no floor is seen, or too little of it to tell a deviation.
 
-    ``headings_rad``: (F,) of the LiDAR at each frame.
+    ``headings_rad``: (F,) of the LiDAR at each frame. What is no floor to a level rig counts only
+    where it shows for sure that the rig is rolled.
     """
+    level = _fit_floor(frames, headings_rad, settings, np.zeros(1))
+    if level is not None:
+        return level
+    rolled = _fit_floor(frames, headings_rad, settings, _ROLLS_RAD)
+    return rolled if rolled is not None and rolled.is_rolled else None
+
+
+def _fit_floor(
+    frames: Sequence[MountObservation],
+    headings_rad: FloatArray,
+    settings: MountSettings,
+    rolls_rad: FloatArray,
+) -> FloorTilt | None:
+    """The tilt, from the fullest layer under one of these rolls."""
     kept = range(0, len(frames), max(1, len(frames) // _FRAMES))
     views = [_View(frames[index]) for index in kept]
     rays = np.concatenate([view.rays for view in views])
     depth_m = np.concatenate([view.depth_m for view in views])
     frame = np.repeat(list(kept), [view.depth_m.size for view in views])
-    start = _lowest_layer(rays * depth_m[:, None])
+    start = _lowest_layer(rays * depth_m[:, None], rolls_rad)
     if start is None:
         return None
     # Of what is on the plane n . X = -h, the inverse depth is -(n . ray) / h.
@@ -165,12 +180,12 @@ def _angle_between_rad(first: FloatArray, second: FloatArray) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
 
 
-def _lowest_layer(points: FloatArray) -> FloatArray | None:
+def _lowest_layer(points: FloatArray, rolls_rad: FloatArray) -> FloatArray | None:
     """(3,) n / -h of the fullest layer with next to nothing below, over the tilts tried."""
     best, plane = 0, None
     if points.shape[0] == 0:
         return None
-    for roll, pitch in product(_ROLLS_RAD, _PITCHES_RAD):
+    for roll, pitch in product(rolls_rad, _PITCHES_RAD):
         normal = rotation_from_yaw_pitch_roll(0.0, pitch, roll)[2]
         heights_m = points @ normal
         layer = np.floor(heights_m / _LAYER_M).astype(np.int64)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion_core.alignment.mount_floor import FloorTilt
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from scanloom.page.markup import escape_markdown
 from scanloom.state.hand_pose import HandPose
@@ -56,12 +55,14 @@ def mount_text(
     mount: Mount,
     notes: Sequence[str] = (),
     *,
-    floor: FloorTilt | None = None,
+    floor_roll_rad: tuple[float, float] | None = None,
+    roll_used_rad: float = 0.0,
     is_roll_known: bool = True,
 ) -> str:
     """One line for each parameter and note, as Markdown; what is not observable is named.
 
-    ``floor``: what shows the roll, unless that is known from elsewhere.
+    ``floor_roll_rad``: the roll that the floor shows and its standard deviation, unless it is known
+    from elsewhere; ``roll_used_rad``: what the camera's pose has of it.
     """
     lines = []
     unknown = []
@@ -74,11 +75,11 @@ def mount_text(
         digits = 2 if unit == " m" else 1
         number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
-    if not is_roll_known and floor is None:
+    if floor_roll_rad is None and not is_roll_known:
         unknown.append("how far it is rolled")
-    elif not is_roll_known and floor is not None:
-        roll_deg, sd_deg = np.rad2deg([floor.roll_rad, floor.roll_sd_rad])
-        level = "" if floor.is_rolled else ", taken as level"
+    elif floor_roll_rad is not None:
+        roll_deg, sd_deg = np.rad2deg(floor_roll_rad)
+        level = ", taken as level" if roll_used_rad == 0.0 else ""
         lines.append(f"- It is rolled **{roll_deg:z.1f} ± {sd_deg:.1f}°**{level}.")
     if unknown:
         lines.append(f"- This recording does not tell {', '.join(unknown)}.")

@@ -62,9 +62,15 @@ def test_the_workbench_says_how_far_the_camera_is_rolled(rolled) -> None:
     assert estimate is not None
     floor = estimate.floor
     assert floor is not None
-    text = mount_text(estimate.mount, floor=floor, is_roll_known=False)
+    seen = (floor.roll_rad, floor.roll_sd_rad)
+    text = mount_text(
+        estimate.mount,
+        floor_roll_rad=seen,
+        roll_used_rad=estimate.roll_rad,
+        is_roll_known=False,
+    )
     assert f"It is rolled **{np.rad2deg(roll_rad):.1f} ± " in text
-    level = replace(floor, roll_rad=0.5 * floor.roll_sd_rad)
-    assert "taken as level" in mount_text(estimate.mount, floor=level, is_roll_known=False)
+    assert "taken as level" not in text
+    assert "taken as level" in mount_text(estimate.mount, floor_roll_rad=(0.0, 1e-3))
     assert "how far it is rolled" in mount_text(estimate.mount, is_roll_known=False)
     assert "rolled" not in mount_text(estimate.mount)
