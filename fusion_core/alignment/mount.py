@@ -18,7 +18,7 @@ from fusion_core.alignment.in_plane_mount import (
     fit_in_plane,
 )
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
-from fusion_core.alignment.mount_floor import find_floor_pitch
+from fusion_core.alignment.mount_floor import FloorTilt, find_floor_tilt
 from fusion_core.alignment.mount_height import (
     heights_to_try,
     keep_sight,
@@ -57,6 +57,9 @@ class MountEstimate:
     ``is_given``: a person gave it; ``is_confirmed``: whether enough points agree under it;
     ``contradictions``: what speaks against it, as parts of a sentence; ``moved_from_given``: how
     far it was moved within its covariance, in the same way, "" where it is used as it is given.
+    ``floor``: the rig's tilt by the floor, None where it shows none or where the transforms are
+    known; ``roll_rad``: by how much the cameras' poses have to be rolled for this mount
+    (``Camera.rolled``), 0 where the floor does not show that the rig is rolled.
     """
 
     mount: Mount
@@ -71,6 +74,8 @@ class MountEstimate:
     is_confirmed: bool = True
     contradictions: tuple[str, ...] = ()
     moved_from_given: str = ""
+    floor: FloorTilt | None = None
+    roll_rad: float = 0.0
 
 
 def estimate_mount(
@@ -87,8 +92,9 @@ def estimate_mount(
     tried as well, and taken only where they agree significantly better.
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
     what is seen (``find_refusal``), unless too few points agree and another mount explains them
-    significantly. ``on_step`` is called before each mount that is tried, and may raise to end the
-    search.
+    significantly. Where nothing is recorded and the floor shows that the rig is rolled, the mount
+    is that of the rolled cameras. ``on_step`` is called before each mount that is tried, and may
+    raise to end the search.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
@@ -99,6 +105,13 @@ def estimate_mount(
             advice="Use a longer recording.",
         )
     problem = MountCost(frames, settings, on_step)
+    floor = None
+    roll_rad = 0.0
+    if recorded is None:
+        floor = find_floor_tilt(frames, problem.headings_rad(), settings)
+        if floor is not None and floor.is_rolled:
+            roll_rad = floor.roll_rad
+            problem = MountCost([frame.rolled(roll_rad) for frame in frames], settings, on_step)
     lines = ScanLines(problem)
     heights_m = heights_to_try(problem, settings)
     refusal = "" if recorded is None else find_refusal(problem, recorded, settings, yaw_rad)
@@ -106,7 +119,10 @@ def estimate_mount(
     if recorded is not None and not refusal:
         found = _refine_recorded(problem, lines, recorded, settings)
     if found is None or found.agreement(problem) < settings.min_agreement:
-        free = _find_mount(problem, lines, yaw_rad, heights_m, frames, settings)
+        seen = floor
+        if recorded is not None:
+            seen = find_floor_tilt(frames, problem.headings_rad(), settings)
+        free = _find_mount(problem, lines, yaw_rad, heights_m, seen, settings)
         if found is not None:
             refusal = _reason_to_prefer_free_fit(problem, found.values, free.values, settings)
         if found is None or refusal:
@@ -128,6 +144,8 @@ def estimate_mount(
         delta_z_profile=delta_z_profile(problem, found.values, heights_m)[:, 1:],
         refusal=refusal,
         yaw_per_delay_rad_s=0.0 if np.isfinite(sd[CLOCK]) else found.yaw_per_delay_rad_s,
+        floor=floor,
+        roll_rad=roll_rad,
     )
 
 
@@ -152,19 +170,18 @@ def _find_mount(
     lines: ScanLines,
     yaw_rad: float,
     heights_m: FloatArray,
-    frames: Sequence[MountObservation],
+    floor: FloorTilt | None,
     settings: MountSettings,
 ) -> InPlaneMount:
     """The mount where nothing is recorded of it."""
     priors = MountPriors.without_recorded(yaw_rad, settings)
-    floor = find_floor_pitch(frames, problem.headings_rad(), settings)
     if floor is not None:
-        priors = priors.with_pitch(floor.pitch_rad, max(floor.sd_rad, _SEARCHED_PITCH_SD_RAD))
+        priors = priors.with_pitch(floor.pitch_rad, max(floor.pitch_sd_rad, _SEARCHED_PITCH_SD_RAD))
     fits = search_mounts(problem, priors, heights_m)
     best, is_yaw_ambiguous = choose_mount(problem, fits, yaw_rad)
     priors = priors.with_yaw(float(best[0]))
     if floor is not None:
-        priors = priors.with_pitch(floor.pitch_rad, floor.sd_rad)
+        priors = priors.with_pitch(floor.pitch_rad, floor.pitch_sd_rad)
     heights = sample_heights(problem, best, heights_m, priors)
     starts = [
         keep_sight(fit, heights.range_m, float(heights.best[1]), float(heights.best[4]))
@@ -178,8 +195,9 @@ def _find_mount(
     # One block of frames has no spread.
     is_height_known = problem.blocks > 1 and not heights.is_at_bound
     sd[1] = spread[1] if is_height_known else np.inf
-    sd[4] = np.inf if floor is None else floor.sd_rad
-    sd[2] = np.hypot(sd[2], spread[2] if floor is None else abs(heights.best[1]) * floor.sd_rad)
+    sd[4] = np.inf if floor is None else floor.pitch_sd_rad
+    tilt_m = spread[2] if floor is None else abs(heights.best[1]) * floor.pitch_sd_rad
+    sd[2] = np.hypot(sd[2], tilt_m)
     if is_yaw_ambiguous:
         sd[0] = np.inf
     return replace(found, values=heights.best, sd=sd)

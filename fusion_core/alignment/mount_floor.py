@@ -1,12 +1,13 @@
-"""The camera's pitch from the floor that it sees: the LiDAR sweeps parallel to it.
+"""The rig's pitch and roll from the floor that it sees: the LiDAR sweeps parallel to it.
 
 The floor is the lowest surface with much of the image on it. On a plane the inverse depth is linear
-in the pixel's ray, so that the rays, which are exact, explain the depths, which are not. A roll of
-the rig, which the mount leaves out, is fitted along.
+in the pixel's ray, so that the rays, which are exact, explain the depths, which are not. The mount
+has no roll of its own: a rig that shows one takes it into its cameras' poses.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from fusion_core.alignment.mount_cost import PLACE_RAD
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll
 from fusion_core.model.robust import robust_sigma
 from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
 
@@ -23,6 +25,8 @@ _FRAMES = 24
 _ROWS = 40
 # Tilts tried, and the layers that a floor is looked for in: what half a degree leaves of it.
 _PITCHES_RAD = np.deg2rad(np.arange(-20.0, 20.5, 1.0))
+# Of a camera that is meant to be level; tried where the floor is not that of a level one.
+_ROLLS_RAD = np.deg2rad([-2.0, 2.0, -4.0, 4.0, -6.0, 6.0])
 _LAYER_M = 0.04
 # So much of the images may lie below the floor: mirrors, flying pixels.
 _BELOW = 0.02
@@ -34,31 +38,56 @@ _FIRST_NOISE = 0.4
 _ITERATIONS = 12
 # Residuals beyond this many standard deviations are of something else.
 _OUTLIER_SD = 3.0
+# Of a 95 % interval.
+_SIGNIFICANT_SD = 1.96
 # The fit stays near the tilt that it started from, which noise in the depths bends.
 _NEAR_RAD = np.deg2rad(5.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FloorPitch:
-    """Pitch of the rig against the floor, positive looks down, and its standard deviation."""
+class FloorTilt:
+    """Tilt of the rig against the floor, R = Ry(pitch) Rx(roll), with standard deviations: pitch is
+    positive where it looks down, roll where its left side is raised."""
 
     pitch_rad: float
-    sd_rad: float
+    pitch_sd_rad: float
+    roll_rad: float
+    roll_sd_rad: float
+
+    @property
+    def is_rolled(self) -> bool:
+        """Whether the roll differs from that of a level rig by more than its 95 % interval."""
+        return abs(self.roll_rad) > _SIGNIFICANT_SD * self.roll_sd_rad
 
 
-def find_floor_pitch(
+def find_floor_tilt(
     frames: Sequence[MountObservation], headings_rad: FloatArray, settings: MountSettings
-) -> FloorPitch | None:
-    """The pitch; None where no floor is seen, or too little of it to tell a deviation.
+) -> FloorTilt | None:
+    """The tilt; None where no floor is seen, or too little of it to tell a deviation.
 
-    ``headings_rad``: (F,) of the LiDAR at each frame.
+    ``headings_rad``: (F,) of the LiDAR at each frame. What is no floor to a level rig counts only
+    where it shows for sure that the rig is rolled.
     """
+    level = _fit_floor(frames, headings_rad, settings, np.zeros(1))
+    if level is not None:
+        return level
+    rolled = _fit_floor(frames, headings_rad, settings, _ROLLS_RAD)
+    return rolled if rolled is not None and rolled.is_rolled else None
+
+
+def _fit_floor(
+    frames: Sequence[MountObservation],
+    headings_rad: FloatArray,
+    settings: MountSettings,
+    rolls_rad: FloatArray,
+) -> FloorTilt | None:
+    """The tilt, from the fullest layer under one of these rolls."""
     kept = range(0, len(frames), max(1, len(frames) // _FRAMES))
     views = [_View(frames[index]) for index in kept]
     rays = np.concatenate([view.rays for view in views])
     depth_m = np.concatenate([view.depth_m for view in views])
     frame = np.repeat(list(kept), [view.depth_m.size for view in views])
-    start = _lowest_layer(rays * depth_m[:, None])
+    start = _lowest_layer(rays * depth_m[:, None], rolls_rad)
     if start is None:
         return None
     # Of what is on the plane n . X = -h, the inverse depth is -(n . ray) / h.
@@ -82,7 +111,7 @@ def find_floor_pitch(
     if (
         below > _BELOW
         or ahead_m[1] - ahead_m[0] < _LEAST_EXTENT_M
-        or abs(pitch - _pitch_rad(start)) > _NEAR_RAD
+        or _angle_between_rad(plane, start) > _NEAR_RAD
     ):
         return None
     off = (inverse[near] - rays[near] @ plane) / scale[near] / noise
@@ -98,9 +127,18 @@ def find_floor_pitch(
     )
     if covariance is None:
         return None
-    # Of arctan2(a, -c).
-    slope = np.array([-plane[2], 0.0, plane[0]]) / (plane[0] ** 2 + plane[2] ** 2)
-    return FloorPitch(pitch_rad=pitch, sd_rad=float(np.sqrt(slope @ covariance @ slope)))
+    # Of arctan2(a, hypot(b, c)).
+    flat = float(np.hypot(plane[1], plane[2]))
+    slope = np.array([flat, -plane[0] * plane[1] / flat, -plane[0] * plane[2] / flat])
+    slope /= plane @ plane
+    # Of arctan2(-b, -c).
+    across = np.array([0.0, plane[2], -plane[1]]) / (plane[1] ** 2 + plane[2] ** 2)
+    return FloorTilt(
+        pitch_rad=pitch,
+        pitch_sd_rad=float(np.sqrt(slope @ covariance @ slope)),
+        roll_rad=float(np.arctan2(-plane[1], -plane[2])),
+        roll_sd_rad=float(np.sqrt(across @ covariance @ across)),
+    )
 
 
 class _View:
@@ -135,16 +173,20 @@ def _without_rims(views: list[_View], near: BoolArray) -> BoolArray:
 
 def _pitch_rad(plane: FloatArray) -> float:
     """``plane`` is the floor's normal over its (negative) height; straight down is -z."""
-    return float(np.arctan2(plane[0], -plane[2]))
+    return float(np.arctan2(plane[0], np.hypot(plane[1], plane[2])))
 
 
-def _lowest_layer(points: FloatArray) -> FloatArray | None:
+def _angle_between_rad(first: FloatArray, second: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
+
+
+def _lowest_layer(points: FloatArray, rolls_rad: FloatArray) -> FloatArray | None:
     """(3,) n / -h of the fullest layer with next to nothing below, over the tilts tried."""
     best, plane = 0, None
     if points.shape[0] == 0:
         return None
-    for pitch in _PITCHES_RAD:
-        normal = np.array([-np.sin(pitch), 0.0, np.cos(pitch)])
+    for roll, pitch in product(rolls_rad, _PITCHES_RAD):
+        normal = rotation_from_yaw_pitch_roll(0.0, pitch, roll)[2]
         heights_m = points @ normal
         layer = np.floor(heights_m / _LAYER_M).astype(np.int64)
         layer -= layer.min()
@@ -152,7 +194,9 @@ def _lowest_layer(points: FloatArray) -> FloatArray | None:
         under = np.cumsum(count) - count
         count[under > _BELOW * heights_m.size] = 0
         fullest = int(count.argmax())
+        if count[fullest] <= best:
+            continue
         height_m = float(np.median(heights_m[layer == fullest]))
-        if count[fullest] > best and height_m < 0.0:
+        if height_m < 0.0:
             best, plane = int(count[fullest]), normal / height_m
     return plane

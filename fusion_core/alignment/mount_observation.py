@@ -1,6 +1,6 @@
 """A pair of scan and depth image as the mount's refinement keeps it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -40,6 +40,10 @@ class MountObservation:
     def __post_init__(self) -> None:
         read_only(self.points_m)
         read_only(self.depth_m)
+
+    def rolled(self, roll_rad: float) -> "MountObservation":
+        """The same with the camera of a rolled rig."""
+        return replace(self, camera=self.camera.rolled(roll_rad))
 
 
 def mount_observation(

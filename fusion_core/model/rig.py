@@ -1,6 +1,6 @@
 """The rig: cameras on one frame, and how that frame sits on the LiDAR (the mount)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,12 @@ class Camera:
     def yaw_rad(self) -> float:
         """Azimuth of the optical axis in the rig frame."""
         return float(np.arctan2(self.T_rig_camera[1, 2], self.T_rig_camera[0, 2]))
+
+    def rolled(self, roll_rad: float) -> "Camera":
+        """The camera on a rig that is rolled about its x, the left side up where positive."""
+        R_rig_level = rotation_from_yaw_pitch_roll(0.0, 0.0, roll_rad)
+        T_rig_camera: FloatArray = make_transform(R_rig_level, np.zeros(3)) @ self.T_rig_camera
+        return replace(self, T_rig_camera=T_rig_camera)
 
     def rays(self, rows: FloatArray | IntArray, columns: FloatArray | IntArray) -> FloatArray:
         """(..., 3) points of pixels at 1 m along the optical axis, in the optical frame."""

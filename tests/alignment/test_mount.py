@@ -59,15 +59,23 @@ def frame_at(
     late_s: float = 0.0,
     extra_turn: float = 0.0,
     field_of_view_deg: float = 240.0,
+    roll_rad: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> MountObservation:
-    """A scan at ``pose`` (x, y, yaw), and an image ``late_s`` after it in true time."""
+    """A scan at ``pose`` (x, y, yaw), and an image ``late_s`` after it in true time.
+
+    ``roll_rad`` of the camera about its axis, of which the observation does not know.
+    """
     angles = np.deg2rad(np.arange(-field_of_view_deg / 2, field_of_view_deg / 2, 0.5))
     x, y, yaw = pose
     ranges_m = room.scan_m(x, y, LIDAR_HEIGHT_M, yaw, angles)
     T_room_lidar = transform_from_planar(np.array([x, y, yaw + rate * late_s + extra_turn]))
     T_room_lidar[2, 3] = LIDAR_HEIGHT_M
-    depth_m = room.depth_m(T_room_lidar @ mount.T_lidar_rig @ CAMERA.T_rig_camera, LENS)
+    T_rig_camera = CAMERA.T_rig_camera.copy()
+    # About the optical axis, the left side up.
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    T_rig_camera[:3, :3] = T_rig_camera[:3, :3] @ [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    depth_m = room.depth_m(T_room_lidar @ mount.T_lidar_rig @ T_rig_camera, LENS)
     if rng is not None:
         ranges_m, depth_m = noisy_ranges(ranges_m, rng), noisy_depth(depth_m, rng)
     scan = LaserScan(

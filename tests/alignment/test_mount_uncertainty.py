@@ -7,7 +7,7 @@ import pytest
 
 from fusion_core.alignment.mount import estimate_mount
 from fusion_core.alignment.mount_cost import MountCost
-from fusion_core.alignment.mount_floor import find_floor_pitch
+from fusion_core.alignment.mount_floor import find_floor_tilt
 from fusion_core.alignment.mount_height import keep_sight
 from fusion_core.model.rig import Mount
 from fusion_core.model.two_way_covariance import correlation_length, two_way_covariance
@@ -92,18 +92,61 @@ def test_an_upright_wall_stays_in_sight() -> None:
 def test_the_floor_shows_the_pitch(furnished_room, seed: int) -> None:
     mount = replace(random_mount(seed), delta_z_m=0.5, pitch_rad=0.02 * seed)
     frames = drive(furnished_room, mount, seed, count=12)
-    found = find_floor_pitch(frames, MountCost(frames, SETTINGS).headings_rad(), SETTINGS)
+    found = find_floor_tilt(frames, MountCost(frames, SETTINGS).headings_rad(), SETTINGS)
     assert found is not None
     error = found.pitch_rad - mount.pitch_rad
     assert abs(error) < np.deg2rad(0.5)
-    assert abs(error) < 4.0 * found.sd_rad
+    assert abs(error) < 4.0 * found.pitch_sd_rad
+
+
+@pytest.mark.parametrize("roll_deg", [-5.0, -2.5, 1.0, 4.0])
+def test_the_floor_shows_the_roll(furnished_room, roll_deg: float) -> None:
+    """The plane in closed form, seen by a camera that is turned about its own axis."""
+    seed = round(abs(roll_deg))
+    mount = replace(random_mount(seed), delta_z_m=0.5, pitch_rad=0.03 * seed)
+    frames = drive(furnished_room, mount, seed, count=12, roll_rad=float(np.deg2rad(roll_deg)))
+    headings_rad = MountCost(frames, SETTINGS).headings_rad()
+    found = find_floor_tilt(frames, headings_rad, SETTINGS)
+    assert found is not None
+    assert found.is_rolled
+    errors = np.array([found.roll_rad - np.deg2rad(roll_deg), found.pitch_rad - mount.pitch_rad])
+    assert (np.abs(errors) < np.deg2rad([0.05, 0.2])).all()
+    assert (np.abs(errors) < 4.0 * np.array([found.roll_sd_rad, found.pitch_sd_rad])).all()
+    # Its cameras rolled, the rig is level, and its pitch is the same.
+    rolled = [frame.rolled(found.roll_rad) for frame in frames]
+    again = find_floor_tilt(rolled, headings_rad, SETTINGS)
+    assert again is not None
+    assert not again.is_rolled
+    assert again.pitch_rad == pytest.approx(found.pitch_rad, abs=1e-4)
+
+
+def test_a_rolled_camera_moves_no_mount(furnished_room) -> None:
+    """It looks down, where a roll that is left out turns the yaw."""
+    mount = replace(random_mount(3), delta_z_m=0.5, pitch_rad=0.25)
+    frames = drive(furnished_room, mount, 3, roll_rad=float(np.deg2rad(3.0)))
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
+    assert estimate.roll_rad == pytest.approx(np.deg2rad(3.0), abs=np.deg2rad(0.05))
+    errors = np.abs(estimate.mount.vector() - mount.vector())
+    assert (errors[[0, 2, 3]] < [np.deg2rad(0.3), 0.03, 0.02]).all(), errors
+
+
+def test_a_level_rig_is_not_rolled(furnished_room) -> None:
+    mount = replace(random_mount(3), delta_z_m=0.5, pitch_rad=0.06)
+    frames = drive(furnished_room, mount, 3, count=12)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
+    assert estimate.floor is not None
+    assert estimate.roll_rad == 0.0
+    # A mount that is recorded has its roll in the camera's pose.
+    known = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad, recorded=mount)
+    assert known.floor is None
+    assert known.roll_rad == 0.0
 
 
 def test_a_camera_that_looks_up_sees_no_floor(furnished_room) -> None:
     mount = Mount(yaw_rad=0.1, delta_z_m=0.4, pitch_rad=-0.45)
     frames = drive(furnished_room, mount, 0, count=8)
     headings_rad = MountCost(frames, SETTINGS).headings_rad()
-    assert find_floor_pitch(frames, headings_rad, SETTINGS) is None
+    assert find_floor_tilt(frames, headings_rad, SETTINGS) is None
 
 
 def test_depths_that_are_too_long_move_no_mount(furnished_room) -> None:

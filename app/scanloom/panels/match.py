@@ -128,7 +128,15 @@ def _mount_text(chain: CachedChain) -> str:
     alignment, given = chain.alignment, chain.session.rig.given
     if given is not None:
         return given_text(pose_of(chain), given.source, alignment.notes)
-    return mount_text(alignment.mount, alignment.notes)
+    estimate = alignment.estimate
+    floor = None if estimate is None else estimate.floor
+    return mount_text(
+        alignment.mount,
+        alignment.notes,
+        floor_roll_rad=None if floor is None else (floor.roll_rad, floor.roll_sd_rad),
+        roll_used_rad=0.0 if estimate is None else estimate.roll_rad,
+        is_roll_known=estimate is None or chain.session.rig.recorded_mount is not None,
+    )
 
 
 def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:

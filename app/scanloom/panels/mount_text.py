@@ -51,8 +51,19 @@ def _aside(value: float, positive: str, negative: str, unit: str, decimals: int)
     return f"{abs(value):.{decimals}f}{unit} {positive if value >= 0.0 else negative}"
 
 
-def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
-    """One line for each parameter and note, as Markdown; what is not observable is named."""
+def mount_text(
+    mount: Mount,
+    notes: Sequence[str] = (),
+    *,
+    floor_roll_rad: tuple[float, float] | None = None,
+    roll_used_rad: float = 0.0,
+    is_roll_known: bool = True,
+) -> str:
+    """One line for each parameter and note, as Markdown; what is not observable is named.
+
+    ``floor_roll_rad``: the roll that the floor shows and its standard deviation, unless it is known
+    from elsewhere; ``roll_used_rad``: what the camera's pose has of it.
+    """
     lines = []
     unknown = []
     for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
@@ -64,6 +75,12 @@ def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
         digits = 2 if unit == " m" else 1
         number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
+    if floor_roll_rad is None and not is_roll_known:
+        unknown.append("how far it is rolled")
+    elif floor_roll_rad is not None:
+        roll_deg, sd_deg = np.rad2deg(floor_roll_rad)
+        level = ", taken as level" if roll_used_rad == 0.0 else ""
+        lines.append(f"- It is rolled **{roll_deg:z.1f} ± {sd_deg:.1f}°**{level}.")
     if unknown:
         lines.append(f"- This recording does not tell {', '.join(unknown)}.")
     lines += [f"- {note}" for note in notes]

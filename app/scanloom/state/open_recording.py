@@ -260,7 +260,7 @@ class OpenRecording:
     def _work(self, progress: Progress) -> CachedChain:
         alignment = self._align(progress)
         assert isinstance(self.frames, FrameReader), "what was aligned has depth images"
-        chain = CachedChain(self.fuse_session, self.frames, alignment)
+        chain = CachedChain(alignment.on_rig(self.fuse_session), self.frames, alignment)
         try:
             # Else the browsers' steps through the frames would wait for it.
             chain.prepare(lambda: progress(0, None, "preparing the steps"))

@@ -83,15 +83,16 @@ def find_pose(
     """
     starts = [] if view.T_guess is None else [view.T_guess]
     chain_mount: Mount | None = None
+    rig = session.rig
     problem_of_chain = ""
     try:
-        chain_mount = align_recording(session, progress).mount
+        alignment = align_recording(session, progress)
+        chain_mount, rig = alignment.mount, alignment.on_rig(session).rig
     except AlignmentFailed as error:
         if not starts:
             raise
         problem_of_chain = error.problem
     if chain_mount is not None:
-        rig = session.rig
         starts.append(invert_transform(chain_mount.T_lidar_rig @ rig.cameras[0].T_rig_camera))
     frames = observe_planar(session, settings.frames, progress)
     problem = PlanarProblem(frames, view.size, settings.patches)

@@ -77,6 +77,12 @@ class RecordingAlignment:
             return own
         return make_panorama(own.cameras, settings)
 
+    def on_rig(self, session: Session) -> Session:
+        """The session that was aligned, with its rig rolled as the mount takes it to be."""
+        if self.estimate is None or self.estimate.roll_rad == 0.0:
+            return session
+        return replace(session, rig=session.rig.rolled(self.estimate.roll_rad))
+
     @property
     def along_curve(self) -> bool:
         """Whether pairs lie along the projected curve (else in the row)."""
@@ -183,17 +189,22 @@ def _align(
     estimate = None
     unused_given: tuple[str, ...] = ()
     scale = DATASHEET_SCALE
+    kept, panorama = collected.kept, collected.panorama
     calibrated = all(camera.calibrated for camera in rig.cameras)
     if session.virtual_row is None and calibrated and settings.pairing == "mount":
 
         def on_step() -> None:
             progress(0, None, "refining the mount")
 
-        estimate = _estimate_mount(collected.kept, session, yaw_rad, on_step)
+        estimate = _estimate_mount(kept, session, yaw_rad, on_step)
         mount = estimate.mount
+        if estimate.roll_rad != 0.0:
+            rig = rig.rolled(estimate.roll_rad)
+            kept = [frame.rolled(estimate.roll_rad) for frame in kept]
+            panorama = make_panorama(rig.cameras, settings)
         u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row)
         peak = _peak_at(fields[metric], peak, u, settings.search)
-        scale = _learn_scale(collected.kept, mount, settings, on_step)
+        scale = _learn_scale(kept, mount, settings, on_step)
     elif rig.given is not None:
         mount = rig.given.mount
         unused_given = (
@@ -211,7 +222,7 @@ def _align(
         scale=scale.with_quantization(rig.depth_quantum_m),
         lidar=collected.scan,
         frames=collected.mean.frames,
-        panorama=collected.panorama if are_side_by_side(rig.cameras) else None,
+        panorama=panorama if are_side_by_side(rig.cameras) else None,
         unused_given=unused_given,
     )
 

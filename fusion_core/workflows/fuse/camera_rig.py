@@ -2,7 +2,7 @@
 extrinsics that a person gives instead."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,6 +75,10 @@ class CameraRig:
     def known_mount(self) -> Mount | None:
         """The mount that is known without scans and images."""
         return self.recorded_mount if self.given is None else self.given.mount
+
+    def rolled(self, roll_rad: float) -> "CameraRig":
+        """The rig rolled about its x: all of its cameras together."""
+        return replace(self, cameras=tuple(camera.rolled(roll_rad) for camera in self.cameras))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

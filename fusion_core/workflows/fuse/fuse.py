@@ -96,6 +96,7 @@ def _run_chain(
 ) -> FuseSummary:
     """Run both passes and write all results into ``folder``."""
     alignment = align_recording(session, progress)
+    session = alignment.on_rig(session)
     notes = [*session.rig.notes, *alignment.notes]
     clock_offset_ms = _clock_offset_to_apply(alignment, options, notes)
     poses: PoseLookup | None = None

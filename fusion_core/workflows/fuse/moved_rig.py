@@ -101,6 +101,8 @@ def align_moved(
             is_confirmed=True,
             contradictions=(),
             moved_from_given="",
+            floor=None,
+            roll_rad=0.0,
         )
     panorama = alignment.panorama
     if panorama is not None:

@@ -67,14 +67,17 @@ class FuseSummary:
 
 def _mount_lines(document: dict[str, Any]) -> Iterator[str]:
     units = {"rad": ("deg", 180.0 / np.pi), "m": ("m", 1.0), "ms": ("ms", 1.0)}
-    for name in MOUNT_PARAMETERS:
+    roll = ("roll_rad",) if "roll_rad" in document else ()
+    for name in (*MOUNT_PARAMETERS, *roll):
         unit, factor = units[name.rsplit("_", 1)[1]]
         label = name.rsplit("_", 1)[0].replace("_", " ")
         if document[f"{name}_sd"] is None:
             yield f"mount      {label}: not observable in this recording"
         else:
             value, sd = document[name] * factor, document[f"{name}_sd"] * factor
-            yield f"mount      {label} {value:.2f} +- {sd:.2f} {unit}"
+            is_level = name in roll and document["roll_used_rad"] == 0.0
+            level = ", taken as level" if is_level else ""
+            yield f"mount      {label} {value:.2f} +- {sd:.2f} {unit}{level}"
 
 
 def write_summary(folder: Path, summary: FuseSummary) -> None:

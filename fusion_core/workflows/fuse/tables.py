@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from fusion_core.alignment.mount import MountEstimate
 from fusion_core.alignment.panorama import PastedPanorama
 from fusion_core.model.classes import NoiseClass, RepairSource, is_repaired
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
@@ -184,6 +185,7 @@ def alignment_document(
         "peak_ratio": _known(peak.ratio),
         "metric": alignment.metric,
         **_mount_entries(mount),
+        **_roll_entries(rig, estimate),
         "by_metric": {
             metric: {
                 "u": found.u,
@@ -237,6 +239,19 @@ def _mount_entries(mount: Mount) -> dict[str, float | None]:
         entries[name] = None if sd is None else float(getattr(mount, name))
         entries[f"{name}_sd"] = None if sd is None else float(sd)
     return entries
+
+
+def _roll_entries(rig: CameraRig, estimate: MountEstimate | None) -> dict[str, float | None]:
+    """The rig's roll as the floor shows it, null where not observable, and what the cameras' poses
+    have of it; nothing where transforms are known, whose roll those poses have."""
+    if estimate is None or rig.known_mount is not None:
+        return {}
+    floor = estimate.floor
+    return {
+        "roll_rad": None if floor is None else floor.roll_rad,
+        "roll_rad_sd": None if floor is None else floor.roll_sd_rad,
+        "roll_used_rad": estimate.roll_rad,
+    }
 
 
 def _camera_entry(rig: CameraRig, index: int, mount: Mount) -> dict[str, Any]:

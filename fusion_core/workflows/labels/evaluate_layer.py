@@ -35,7 +35,9 @@ def evaluate_layer(
     _, settings = chain_settings(options.preset, options.settings_file, options.seed)
     with open_source(recording, options.room) as opened:
         session = open_session(opened, options, settings)
-        chain = CachedChain(session, FrameReader(session), align_recording(session, progress))
+        alignment = align_recording(session, progress)
+        session = alignment.on_rig(session)
+        chain = CachedChain(session, FrameReader(session), alignment)
 
         def frames() -> Iterator[LabelledFrame]:
             return labelled_frames(chain, settings, layer, progress=progress)

@@ -218,8 +218,9 @@ def _extrinsics_from_file(
 def _extrinsics_from_alignment(
     session: Session, mounting: _LidarMounting, progress: Progress
 ) -> CameraExtrinsics:
-    recording, rig = session.recording, session.rig
+    recording = session.recording
     alignment = align_recording(session, progress)
+    rig = alignment.on_rig(session).rig
     mount = alignment.mount
     if alignment.estimate is None:
         raise AlignmentFailed(

@@ -43,8 +43,9 @@ class RepairedScans:
         self._pool = pool or WorkerPool(1)
         self._pool.start(*WORKER_MODULES)
         rig = build_camera_rig(recording, streams, settings.sampling, given=sensors.given)
-        self._session = session_of(recording, streams, rig, settings)
-        self._alignment = align_recording(self._session, progress)
+        session = session_of(recording, streams, rig, settings)
+        self._alignment = align_recording(session, progress)
+        self._session = self._alignment.on_rig(session)
         self._labels: SessionLabels | None = None
         if labels is not None:
             self._labels = SessionLabels(session=self._session, layer=labels)
