@@ -147,6 +147,11 @@ def read_mount(folder: FuseFolder) -> Mount:
         raise _not_an_alignment(folder.path / "alignment.json", error) from error
 
 
+def read_roll_rad(folder: FuseFolder) -> float:
+    """The roll by the floor that the cameras' poses have on the rig, 0 where they have none."""
+    return float(folder.alignment.get("roll_used_rad", 0.0))
+
+
 def _not_an_alignment(file: Path, error: Exception) -> ScanLoomError:
     return ScanLoomError(
         f"is not an alignment as fuse writes it ({type(error).__name__}: {error}).",

@@ -2,13 +2,18 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.fuse_folder import FuseFolder, open_fuse_folder, read_mount
+from fusion_core.evaluation.fuse_folder import (
+    FuseFolder,
+    open_fuse_folder,
+    read_mount,
+    read_roll_rad,
+)
 from fusion_core.exporting.clouds import write_cloud
 from fusion_core.exporting.manifest import require_intact
 from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
@@ -64,6 +69,8 @@ def export_clouds(
     fused_file = results / "fused.mcap"
     with open_source(recording, options.room) as opened, open_recording(fused_file) as fused:
         session = open_session(opened, options, settings, _given_extrinsics(fuse_folder))
+        if roll_rad := read_roll_rad(fuse_folder):
+            session = replace(session, rig=session.rig.rolled(roll_rad))
         poses = None
         if session.virtual_row is None:
             poses = recorded_poses(opened, session.streams, session.rig.lidar_frame)

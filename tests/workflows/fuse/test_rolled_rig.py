@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from fusion_core.model.rig import Mount
+from fusion_core.recordings.clouds.formats import read_cloud
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import find_scene
+from fusion_core.workflows.fuse import export_clouds as exporting
 from fusion_core.workflows.fuse.align import align_recording
-from fusion_core.workflows.fuse.fuse import fuse
+from fusion_core.workflows.fuse.export_clouds import export_clouds
+from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.panels.mount_text import mount_text
@@ -25,10 +28,16 @@ def rolled(tmp_path_factory) -> tuple[Path, Mount, float]:
     return path, *record(find_scene("furnished_room"), path, SEED, 2.0)
 
 
-def test_the_cameras_pose_takes_the_roll(rolled, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def summary(rolled, tmp_path_factory) -> FuseSummary:
     path, _, roll_rad = rolled
     assert abs(np.rad2deg(roll_rad)) > 2.0
-    summary = fuse(path, tmp_path / "out", FuseOptions(figures=False, maps=False))
+    output = tmp_path_factory.mktemp("fused") / "out"
+    return fuse(path, output, FuseOptions(figures=False, maps=False))
+
+
+def test_the_cameras_pose_takes_the_roll(rolled, summary: FuseSummary) -> None:
+    path, _, roll_rad = rolled
     document = summary.document
     assert document["roll_rad"] == pytest.approx(roll_rad, abs=np.deg2rad(0.1))
     assert document["roll_rad"] == document["roll_used_rad"]
@@ -40,6 +49,22 @@ def test_the_cameras_pose_takes_the_roll(rolled, tmp_path: Path) -> None:
     assert np.arccos((np.trace(R.T @ R_true) - 1.0) / 2.0) < np.deg2rad(0.4)
     (line,) = (line for line in summary.lines() if " roll " in line)
     assert f"roll {np.rad2deg(document['roll_rad']):.2f} +- " in line
+
+
+def test_clouds_have_the_roll(
+    rolled, summary: FuseSummary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The floor's slope, with the roll of the results and as if they had none."""
+    path, _, _ = rolled
+    slopes_rad = []
+    for name in ("clouds", "level"):
+        export_clouds(path, summary.output, tmp_path / name, FuseOptions(), voxel_m=0.05)
+        points_m = read_cloud(tmp_path / name / "depth.ply").xyz_m.astype(np.float64)
+        floor_m = points_m[points_m[:, 2] < np.percentile(points_m[:, 2], 1.0) + 0.1]
+        sides = np.column_stack([floor_m[:, :2], np.ones(len(floor_m))])
+        slopes_rad.append(np.arctan(np.hypot(*np.linalg.lstsq(sides, floor_m[:, 2])[0][:2])))
+        monkeypatch.setattr(exporting, "read_roll_rad", lambda _: 0.0)
+    assert slopes_rad[0] < 0.5 * slopes_rad[1]
 
 
 def test_transforms_that_are_known_keep_their_roll(rolled) -> None:
