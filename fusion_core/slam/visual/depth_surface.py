@@ -68,7 +68,7 @@ class SurfaceSampler:
         )
         return DepthSurface(
             points_m=points_m,
-            normals=_block_normals(points_m, _NORMAL_BLOCKS, _EDGE_RATIO),
+            normals=_block_normals(points_m, camera, _NORMAL_BLOCKS, _EDGE_RATIO),
             camera=camera,
         )
 
@@ -124,28 +124,59 @@ def _block_means(
 
 
 @compiled(nogil=True)
-def _block_normals(points: FloatArray, reach: int, edge_ratio: float) -> FloatArray:
+def _block_normals(
+    points: FloatArray, camera: FloatArray, reach: int, edge_ratio: float
+) -> FloatArray:
+    """(h, w, 3) of the plane through the inverse depths around each block: those of a plane are
+    linear in the pixel, and those of a structured-light camera err alike at any depth.
+
+    Of pairs on opposite sides alone, so that it does not err with the block's own depth.
+    """
     height, width = points.shape[0], points.shape[1]
     normals = np.full((height, width, 3), np.nan)
-    a, b, n = np.empty(3), np.empty(3), np.empty(3)
+    n = np.empty(3)
     for row in range(reach, height - reach):
         for column in range(reach, width - reach):
             z = points[row, column, 2]
-            left, right = points[row, column - reach], points[row, column + reach]
-            up, down = points[row - reach, column], points[row + reach, column]
             # NaN compares false.
             if not (
-                abs(left[2] - z) <= edge_ratio * z
-                and abs(right[2] - z) <= edge_ratio * z
-                and abs(up[2] - z) <= edge_ratio * z
-                and abs(down[2] - z) <= edge_ratio * z
+                abs(points[row, column - reach, 2] - z) <= edge_ratio * z
+                and abs(points[row, column + reach, 2] - z) <= edge_ratio * z
+                and abs(points[row - reach, column, 2] - z) <= edge_ratio * z
+                and abs(points[row + reach, column, 2] - z) <= edge_ratio * z
             ):
                 continue
-            for i in range(3):
-                a[i], b[i] = right[i] - left[i], down[i] - up[i]
-            n[0] = a[1] * b[2] - a[2] * b[1]
-            n[1] = a[2] * b[0] - a[0] * b[2]
-            n[2] = a[0] * b[1] - a[1] * b[0]
+            across, across_squares, down, down_squares = 0.0, 0.0, 0.0, 0.0
+            is_edge = False
+            for far in range(1, reach + 1):
+                for beside in range(-reach, reach + 1):
+                    low = points[row + beside, column - far, 2]
+                    high = points[row + beside, column + far, 2]
+                    # Part of a window would be the part whose noise makes it look less steep.
+                    if abs(low - z) > edge_ratio * z or abs(high - z) > edge_ratio * z:
+                        is_edge = True
+                    if low > 0.0 and high > 0.0:
+                        across += far * (1.0 / high - 1.0 / low)
+                        across_squares += 2.0 * far * far
+                    low = points[row - far, column + beside, 2]
+                    high = points[row + far, column + beside, 2]
+                    if low > 0.0 and high > 0.0:
+                        down += far * (1.0 / high - 1.0 / low)
+                        down_squares += 2.0 * far * far
+            if is_edge:
+                continue
+            across /= across_squares
+            down /= down_squares
+            # Without the block's own depth, whose error the distance to the plane holds already.
+            middle = 0.25 * (
+                1.0 / points[row, column - reach, 2]
+                + 1.0 / points[row, column + reach, 2]
+                + 1.0 / points[row - reach, column, 2]
+                + 1.0 / points[row + reach, column, 2]
+            )
+            # The plane n p = 1.
+            n[0], n[1] = across * camera[0], down * camera[1]
+            n[2] = middle - across * (column - camera[2]) - down * (row - camera[3])
             norm = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
             for i in range(3):
                 normals[row, column, i] = n[i] / norm

@@ -20,6 +20,7 @@ SIGMA = 0.003
 # Planes n x = d of the world, whose axes are those of the camera at the identity.
 ROOM = (((0.1, 0.0, 1.0), 2.5), ((0.0, 1.0, 0.1), 0.9), ((1.0, 0.0, 0.2), 1.3))
 WALL = (((0.0, 0.0, 1.0), 2.0),)
+CORRIDOR = (((1.0, 0.0, 0.0), 1.0), ((-1.0, 0.0, 0.0), 1.0), ((0.0, 1.0, 0.0), 1.2))
 MOTION = exp_se3(np.array([0.03, -0.05, 0.02, 0.06, 0.02, -0.04]))
 
 
@@ -98,6 +99,31 @@ def test_a_wall_says_nothing_of_what_slides_along_it():
     x, y, z = found[1][3, 3], found[1][4, 4], found[1][5, 5]
     assert max(x, y) < 0.02 * z
     assert found[0][2, 3] == pytest.approx(-0.05, abs=2e-3)
+
+
+def test_normals_follow_all_blocks_around():
+    """Noise turns a normal as much less as twenty-five blocks tell its slope better than two do."""
+    depth_m = depth_of((((0.5, 0.0, 1.0), 4.0),), np.eye(4), sigma=SIGMA)
+    sampler = SurfaceSampler(CAMERA)
+    surface = sampler.surface(sampler.reduce(depth_m))
+    n = surface.normals[np.isfinite(surface.normals[..., 0])]
+    # The plane's u slope is n_x / (n p) / fx; four pixels are averaged to a block.
+    points = surface.points_m[np.isfinite(surface.normals[..., 0])]
+    slopes = n[:, 0] / (n * points).sum(axis=1) / surface.camera[0]
+    expected = SIGMA / 2.0 / np.sqrt(50.0)
+    assert slopes.mean() == pytest.approx(0.5 / 4.0 / surface.camera[0], abs=0.2 * expected)
+    assert slopes.std() == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_corridor_hides_is_not_claimed(seed):
+    """Noise of normals far away must not say that the camera stood still."""
+    T = exp_se3(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.3]))
+    first, second = surface_of(CORRIDOR, np.eye(4), 2 * seed), surface_of(CORRIDOR, T, 2 * seed + 1)
+    found = align_depths(first, second, T, SIGMA, 0.2)
+    assert found is not None
+    off = found[0][2, 3] + 0.3
+    assert off**2 / np.linalg.inv(found[1])[5, 5] < 9.0
 
 
 def test_images_that_share_too_little_are_not_aligned():
