@@ -20,6 +20,8 @@ _COVERED_MIN = 0.5
 _EDGE_RATIO = 0.05
 # Blocks to either side over which a normal is taken: the noise of one block's depth would turn it.
 _NORMAL_BLOCKS = 2
+# Of the pairs of blocks on opposite sides within that reach, so many must show one surface: half.
+_PAIRS_MIN = ((2 * _NORMAL_BLOCKS + 1) ** 2 - 1) // 4
 # What is nearer than this before a camera, or behind it, is in no image.
 _NEAREST_M = 0.01
 
@@ -68,7 +70,7 @@ class SurfaceSampler:
         )
         return DepthSurface(
             points_m=points_m,
-            normals=_block_normals(points_m, camera, _NORMAL_BLOCKS, _EDGE_RATIO),
+            normals=_block_normals(points_m, camera, _NORMAL_BLOCKS, _PAIRS_MIN, _EDGE_RATIO),
             camera=camera,
         )
 
@@ -125,12 +127,14 @@ def _block_means(
 
 @compiled(nogil=True)
 def _block_normals(
-    points: FloatArray, camera: FloatArray, reach: int, edge_ratio: float
+    points: FloatArray, camera: FloatArray, reach: int, pairs_min: int, edge_ratio: float
 ) -> FloatArray:
     """(h, w, 3) of the plane through the inverse depths around each block: those of a plane are
     linear in the pixel, and those of a structured-light camera err alike at any depth.
 
-    Of pairs on opposite sides alone, so that it does not err with the block's own depth.
+    Of pairs on opposite sides alone, so that it does not err with the block's own depth. Their mean
+    is the block's on a plane of any slope, and errs independently of their difference: that they
+    are of one surface is judged by it, without a choice of slopes.
     """
     height, width = points.shape[0], points.shape[1]
     normals = np.full((height, width, 3), np.nan)
@@ -138,45 +142,31 @@ def _block_normals(
     for row in range(reach, height - reach):
         for column in range(reach, width - reach):
             z = points[row, column, 2]
-            # NaN compares false.
-            if not (
-                abs(points[row, column - reach, 2] - z) <= edge_ratio * z
-                and abs(points[row, column + reach, 2] - z) <= edge_ratio * z
-                and abs(points[row - reach, column, 2] - z) <= edge_ratio * z
-                and abs(points[row + reach, column, 2] - z) <= edge_ratio * z
-            ):
+            pairs, middle = 0, 0.0
+            # Half the difference of a pair = across x + down y.
+            xx, xy, yy, x_half, y_half = 0.0, 0.0, 0.0, 0.0, 0.0
+            for y in range(reach + 1):
+                for x in range(-reach if y else 1, reach + 1):
+                    one = 1.0 / points[row - y, column - x, 2]
+                    other = 1.0 / points[row + y, column + x, 2]
+                    mean, half = 0.5 * (one + other), 0.5 * (other - one)
+                    # NaN compares false.
+                    if abs(mean * z - 1.0) <= edge_ratio:
+                        pairs += 1
+                        middle += mean
+                        xx += x * x
+                        xy += x * y
+                        yy += y * y
+                        x_half += x * half
+                        y_half += y * half
+            if pairs < pairs_min:
                 continue
-            across, across_squares, down, down_squares = 0.0, 0.0, 0.0, 0.0
-            is_edge = False
-            for far in range(1, reach + 1):
-                for beside in range(-reach, reach + 1):
-                    low = points[row + beside, column - far, 2]
-                    high = points[row + beside, column + far, 2]
-                    # Part of a window would be the part whose noise makes it look less steep.
-                    if abs(low - z) > edge_ratio * z or abs(high - z) > edge_ratio * z:
-                        is_edge = True
-                    if low > 0.0 and high > 0.0:
-                        across += far * (1.0 / high - 1.0 / low)
-                        across_squares += 2.0 * far * far
-                    low = points[row - far, column + beside, 2]
-                    high = points[row + far, column + beside, 2]
-                    if low > 0.0 and high > 0.0:
-                        down += far * (1.0 / high - 1.0 / low)
-                        down_squares += 2.0 * far * far
-            if is_edge:
-                continue
-            across /= across_squares
-            down /= down_squares
-            # Without the block's own depth, whose error the distance to the plane holds already.
-            middle = 0.25 * (
-                1.0 / points[row, column - reach, 2]
-                + 1.0 / points[row, column + reach, 2]
-                + 1.0 / points[row - reach, column, 2]
-                + 1.0 / points[row + reach, column, 2]
-            )
+            determinant = xx * yy - xy * xy
+            across = (yy * x_half - xy * y_half) / determinant
+            down = (xx * y_half - xy * x_half) / determinant
             # The plane n p = 1.
             n[0], n[1] = across * camera[0], down * camera[1]
-            n[2] = middle - across * (column - camera[2]) - down * (row - camera[3])
+            n[2] = middle / pairs - across * (column - camera[2]) - down * (row - camera[3])
             norm = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
             for i in range(3):
                 normals[row, column, i] = n[i] / norm
