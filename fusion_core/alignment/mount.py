@@ -58,8 +58,7 @@ class MountEstimate:
     ``contradictions``: what speaks against it, as parts of a sentence; ``moved_from_given``: how
     far it was moved within its covariance, in the same way, "" where it is used as it is given.
     ``floor``: the rig's tilt by the floor, None where it shows none or where the transforms are
-    known; ``roll_rad``: by how much the cameras' poses have to be rolled for this mount
-    (``Camera.rolled``), 0 where the floor does not show that the rig is rolled.
+    known.
     """
 
     mount: Mount
@@ -75,7 +74,12 @@ class MountEstimate:
     contradictions: tuple[str, ...] = ()
     moved_from_given: str = ""
     floor: FloorTilt | None = None
-    roll_rad: float = 0.0
+
+    @property
+    def roll_rad(self) -> float:
+        """By how much the cameras' poses have to be rolled for this mount (``Camera.rolled``), 0
+        where the floor does not show that the rig is rolled."""
+        return self.floor.roll_rad if self.floor is not None and self.floor.is_rolled else 0.0
 
 
 def estimate_mount(
@@ -106,12 +110,11 @@ def estimate_mount(
         )
     problem = MountCost(frames, settings, on_step)
     floor = None
-    roll_rad = 0.0
     if recorded is None:
         floor = find_floor_tilt(frames, problem.headings_rad(), settings)
         if floor is not None and floor.is_rolled:
-            roll_rad = floor.roll_rad
-            problem = MountCost([frame.rolled(roll_rad) for frame in frames], settings, on_step)
+            rolled = [frame.rolled(floor.roll_rad) for frame in frames]
+            problem = MountCost(rolled, settings, on_step)
     lines = ScanLines(problem)
     heights_m = heights_to_try(problem, settings)
     refusal = "" if recorded is None else find_refusal(problem, recorded, settings, yaw_rad)
@@ -145,7 +148,6 @@ def estimate_mount(
         refusal=refusal,
         yaw_per_delay_rad_s=0.0 if np.isfinite(sd[CLOCK]) else found.yaw_per_delay_rad_s,
         floor=floor,
-        roll_rad=roll_rad,
     )
 
 

@@ -5,7 +5,7 @@ in the pixel's ray, so that the rays, which are exact, explain the depths, which
 has no roll of its own: a rig that shows one takes it into its cameras' poses.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -68,25 +68,28 @@ def find_floor_tilt(
     ``headings_rad``: (F,) of the LiDAR at each frame. What is no floor to a level rig counts only
     where it shows for sure that the rig is rolled.
     """
-    level = _fit_floor(frames, headings_rad, settings, np.zeros(1))
+    views = {
+        index: _View(frames[index])
+        for index in range(0, len(frames), max(1, len(frames) // _FRAMES))
+    }
+    level = _fit_floor(views, headings_rad, settings, np.zeros(1))
     if level is not None:
         return level
-    rolled = _fit_floor(frames, headings_rad, settings, _ROLLS_RAD)
+    rolled = _fit_floor(views, headings_rad, settings, _ROLLS_RAD)
     return rolled if rolled is not None and rolled.is_rolled else None
 
 
 def _fit_floor(
-    frames: Sequence[MountObservation],
+    view_of_frame: Mapping[int, "_View"],
     headings_rad: FloatArray,
     settings: MountSettings,
     rolls_rad: FloatArray,
 ) -> FloorTilt | None:
     """The tilt, from the fullest layer under one of these rolls."""
-    kept = range(0, len(frames), max(1, len(frames) // _FRAMES))
-    views = [_View(frames[index]) for index in kept]
+    views = list(view_of_frame.values())
     rays = np.concatenate([view.rays for view in views])
     depth_m = np.concatenate([view.depth_m for view in views])
-    frame = np.repeat(list(kept), [view.depth_m.size for view in views])
+    frame = np.repeat(list(view_of_frame), [view.depth_m.size for view in views])
     start = _lowest_layer(rays * depth_m[:, None], rolls_rad)
     if start is None:
         return None

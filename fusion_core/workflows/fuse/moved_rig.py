@@ -102,7 +102,6 @@ def align_moved(
             contradictions=(),
             moved_from_given="",
             floor=None,
-            roll_rad=0.0,
         )
     panorama = alignment.panorama
     if panorama is not None:
