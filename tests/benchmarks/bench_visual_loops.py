@@ -35,12 +35,13 @@ from fusion_core.model.geometry import invert_transform
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.loop_closing import LoopCloser, VisualLoopSettings
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.place_recognition import PlaceIndex
 from fusion_core.slam.visual.relative_pose import RelativePoseSettings
 from fusion_core.slam.visual.relocalisation import Relocalisation, relocalise
-from fusion_core.slam.visual.visual_map import FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 from fusion_core.slam.visual.visual_slam import VisualSlamResult, VisualSlamSettings, visual_slam
 from tests.benchmarks.measures import show
 from tests.benchmarks.visual_loop_worlds import (

@@ -12,9 +12,9 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.slam.visual.alignment_factors import add_alignments, alignment_cost
+from fusion_core.slam.visual.keyframes import DepthAlignment
 from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
 from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
-from fusion_core.slam.visual.visual_map import DepthAlignment
 
 _DAMPING_START = 1e-6
 _DAMPING_MAX = 1e6

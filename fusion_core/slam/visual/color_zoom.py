@@ -27,10 +27,10 @@ from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.depth_alignment import align_depths
 from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.observation_noise import CHI2_PIXEL, ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, project
 from fusion_core.slam.visual.pose_optimisation import exp_se3
-from fusion_core.slam.visual.visual_map import FrameFeatures
 
 # Images from one of a pair to the next: far enough for a motion, near enough to match.
 _STEP_IMAGES = 6

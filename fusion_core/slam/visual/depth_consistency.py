@@ -8,20 +8,21 @@ something that has moved in between.
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.conventions import Float32Array, FloatArray
 from fusion_core.model.geometry import invert_transform
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler, find_block
-from fusion_core.slam.visual.doubtful_stretches import DoubtfulStretch, join_doubts
+from fusion_core.slam.visual.doubtful_stretches import PoseCheck
 from fusion_core.slam.visual.local_map import LocalMap
+from fusion_core.slam.visual.tracked_frame import TrackedFrame
 
 # A block contradicts where it lies so many standard deviations before the other surface.
 _GATE = 5.0
 
 
 class DepthCheckSettings(StageSettings):
-    """Settings of ``DepthCheck``."""
+    """Settings of ``depth_check``."""
 
     check_images: int = setting(
         5, "Images from one comparison of depth with the motion to the next", ge=1, le=1000
@@ -34,46 +35,37 @@ class DepthCheckSettings(StageSettings):
     )
 
 
-class DepthCheck:
-    """Compares images with the reference keyframe of their local map."""
+def depth_check(
+    intrinsics: CameraIntrinsics, settings: DepthCheckSettings, depth_sigma_per_m2: float
+) -> PoseCheck:
+    """Doubts poses that depth images contradict."""
+    return PoseCheck(
+        _DepthContradiction(intrinsics, depth_sigma_per_m2),
+        check_images=settings.check_images,
+        share_max=settings.contradicted_max,
+        gap_images=0,
+        says="of the depth image contradicts the motion: features may follow something that "
+        "moves, or colour and depth differ in time",
+    )
 
-    def __init__(
-        self,
-        intrinsics: CameraIntrinsics,
-        settings: DepthCheckSettings,
-        depth_sigma_per_m2: float,
-    ) -> None:
-        self._settings, self._sigma = settings, depth_sigma_per_m2
-        self._sampler = SurfaceSampler(intrinsics)
+
+class _DepthContradiction:
+    def __init__(self, intrinsics: CameraIntrinsics, depth_sigma_per_m2: float) -> None:
+        self._sampler, self._sigma = SurfaceSampler(intrinsics), depth_sigma_per_m2
         self._reference: tuple[int, DepthSurface] | None = None
-        # By the image's number.
-        self._shares: dict[int, float] = {}
 
-    def check(
-        self, image: int, depth_m: Float32Array, T_map_camera: FloatArray, local: LocalMap
-    ) -> None:
-        """Compare an image, if its turn has come."""
-        if image % self._settings.check_images or local.reduced_depth_m is None:
-            return
+    def __call__(
+        self, depth_m: Float32Array, tracked: TrackedFrame, local: LocalMap
+    ) -> float | None:
+        if local.reduced_depth_m is None:
+            return None
         if self._reference is None or self._reference[0] != local.reference:
             self._reference = local.reference, self._sampler.surface(local.reduced_depth_m)
-        self._shares[image] = contradicted_share(
+        return contradicted_share(
             self._sampler.surface(self._sampler.reduce(depth_m)),
             self._reference[1],
-            invert_transform(local.T_map_reference) @ T_map_camera,
+            invert_transform(local.T_map_reference) @ tracked.T_map_camera,
             self._sigma,
-        )
-
-    def doubtful(self, stamps_ns: IntArray) -> tuple[DoubtfulStretch, ...]:
-        """What was found, neighbouring comparisons joined."""
-        return join_doubts(
-            self._shares,
-            stamps_ns,
-            self._settings.contradicted_max,
-            self._settings.check_images,
-            0,
-            "of the depth image contradicts the motion: features may follow something that moves, "
-            "or colour and depth differ in time",
         )
 
 

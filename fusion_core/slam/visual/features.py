@@ -9,7 +9,7 @@ from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.feature_depths import sample_depths_m
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.visual_map import FrameFeatures, no_features
+from fusion_core.slam.visual.frame_features import FrameFeatures, no_features
 
 SCALE_FACTOR = 1.2
 """Between neighbouring levels of the pyramid, as in ORB-SLAM2."""

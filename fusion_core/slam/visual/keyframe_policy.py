@@ -3,8 +3,8 @@
 import numpy as np
 
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.tracked_frame import TrackedFrame
-from fusion_core.slam.visual.visual_map import NO_LANDMARK
 
 
 class KeyframePolicy(StageSettings):

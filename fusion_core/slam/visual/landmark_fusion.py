@@ -6,9 +6,10 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual.keyframes import NO_LANDMARK, LoopClosure
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
 from fusion_core.slam.visual.relative_pose_refinement import project
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, LoopClosure, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 # About a landmark's predicted place: what a closed loop is off by.
 _RADIUS_PX = 8.0

@@ -13,7 +13,9 @@ from fusion_core.model.conventions import (
     read_only,
 )
 from fusion_core.slam.visual.features import SCALE_FACTOR
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
+from fusion_core.slam.visual.visual_map import VisualMap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,12 +16,13 @@ from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings, alig
 from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
+from fusion_core.slam.visual.keyframes import NO_LANDMARK, DepthAlignment, Keyframe
 from fusion_core.slam.visual.landmark_descriptors import update_descriptors
 from fusion_core.slam.visual.local_map import landmark_views
 from fusion_core.slam.visual.observation_noise import CHI2_PIXEL, ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, DepthAlignment, Keyframe, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 # A landmark must be seen by so many keyframes when this many more have been made, and found in so
 # large a part of those that should show it (ORB-SLAM: three, two and a quarter, of images).

@@ -5,8 +5,9 @@ is believed when the keyframes before the newest one have led to the same group.
 """
 
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.place_recognition import PlaceIndex, PlaceSettings
-from fusion_core.slam.visual.visual_map import FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 # Keyframes that see the same landmarks and stand together for a place; ORB-SLAM takes ten.
 _GROUP_MAX = 10

@@ -30,6 +30,7 @@ from fusion_core.slam.visual.essential_graph import (
     optimise_poses,
 )
 from fusion_core.slam.visual.global_adjustment import GlobalAdjustmentSettings, adjust_globally
+from fusion_core.slam.visual.keyframes import LoopClosure
 from fusion_core.slam.visual.landmark_fusion import fuse_matches, fuse_neighbours, move_landmarks
 from fusion_core.slam.visual.loop_candidates import LoopCandidates, LoopCandidateSettings
 from fusion_core.slam.visual.loop_gate import LostMotionSettings, loop_refusal
@@ -41,7 +42,7 @@ from fusion_core.slam.visual.relative_pose import (
     estimate_relative_pose,
 )
 from fusion_core.slam.visual.relocalisation import RelocalisationSettings
-from fusion_core.slam.visual.visual_map import LoopClosure, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 # A loop within this is no news to the map: its edge is kept, nothing is moved. 0.95 quantile of
 # chi-square with six degrees of freedom.

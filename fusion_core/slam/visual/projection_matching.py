@@ -5,7 +5,7 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
 from fusion_core.slam.visual.features import SCALE_FACTOR
-from fusion_core.slam.visual.visual_map import FrameFeatures
+from fusion_core.slam.visual.frame_features import FrameFeatures
 
 # Side of a cell of the grid in which features are looked up.
 _CELL_PX = 16

@@ -16,6 +16,7 @@ from fusion_core.motion.feature_matching import match_descriptors
 from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.features import SCALE_FACTOR
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, unproject
 from fusion_core.slam.visual.projection_matching import FeatureGrid, predict_octaves
@@ -24,7 +25,6 @@ from fusion_core.slam.visual.relative_pose_refinement import (
     project,
     refine_relative_pose,
 )
-from fusion_core.slam.visual.visual_map import FrameFeatures
 
 # OpenCV's 0.99 would lose one pose in a hundred.
 _RANSAC_CONFIDENCE = 0.9999

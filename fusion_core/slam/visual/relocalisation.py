@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.loop_candidates import group_candidates
 from fusion_core.slam.visual.loop_gate import LostMotionSettings, distance_m, lost_reach_m
 from fusion_core.slam.visual.observation_noise import ObservationNoise
@@ -14,7 +15,7 @@ from fusion_core.slam.visual.relative_pose import (
     RelativePoseSettings,
     estimate_relative_pose,
 )
-from fusion_core.slam.visual.visual_map import FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 
 class RelocalisationSettings(StageSettings):

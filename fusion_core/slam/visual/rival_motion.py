@@ -10,17 +10,18 @@ images do not say with certainty: the stretch is named.
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.conventions import Float32Array, FloatArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.feature_matching import match_descriptors
 from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.visual.doubtful_stretches import DoubtfulStretch, join_doubts
+from fusion_core.slam.visual.doubtful_stretches import PoseCheck
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.local_map import LocalMap
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, project, unproject
-from fusion_core.slam.visual.visual_map import FrameFeatures
+from fusion_core.slam.visual.tracked_frame import TrackedFrame
 
 # Parts of the image across, by which a motion's share is counted: many features in one say no more
 # than a few.
@@ -34,7 +35,7 @@ _DRAWS, _CONFIDENCE, _THRESHOLD_PX = 100, 0.99, 3.0
 
 
 class RivalMotionSettings(StageSettings):
-    """Settings of ``RivalMotionCheck``."""
+    """Settings of ``rival_motion_check``."""
 
     check_images: int = setting(
         5, "Images from one search for a second motion to the next", ge=1, le=1000
@@ -54,40 +55,28 @@ class RivalMotionSettings(StageSettings):
     )
 
 
-class RivalMotionCheck:
-    """Compares images with the reference keyframe of their local map."""
+def rival_motion_check(
+    intrinsics: CameraIntrinsics, settings: RivalMotionSettings, noise: ObservationNoise
+) -> PoseCheck:
+    """Doubts poses with a rival."""
 
-    def __init__(
-        self, intrinsics: CameraIntrinsics, settings: RivalMotionSettings, noise: ObservationNoise
-    ) -> None:
-        self._intrinsics, self._settings, self._noise = intrinsics, settings, noise
-        # By the image's number.
-        self._shares: dict[int, float] = {}
-
-    def check(
-        self, image: int, features: FrameFeatures, T_map_camera: FloatArray, local: LocalMap
-    ) -> None:
-        """Compare an image, if its turn has come."""
-        if image % self._settings.check_images == 0:
-            self._shares[image] = rival_share(
-                local.features,
-                features,
-                invert_transform(T_map_camera) @ local.T_map_reference,
-                self._intrinsics,
-                self._noise,
-            )
-
-    def doubtful(self, stamps_ns: IntArray) -> tuple[DoubtfulStretch, ...]:
-        """The stretches in which a rival has more than its share."""
-        return join_doubts(
-            self._shares,
-            stamps_ns,
-            self._settings.share_max,
-            self._settings.check_images,
-            self._settings.gap_images,
-            "of the image moves otherwise than the camera, as one: the trajectory may follow "
-            "something that moves",
+    def contradiction(_: Float32Array, tracked: TrackedFrame, local: LocalMap) -> float:
+        return rival_share(
+            local.features,
+            tracked.features,
+            invert_transform(tracked.T_map_camera) @ local.T_map_reference,
+            intrinsics,
+            noise,
         )
+
+    return PoseCheck(
+        contradiction,
+        check_images=settings.check_images,
+        share_max=settings.share_max,
+        gap_images=settings.gap_images,
+        says="of the image moves otherwise than the camera, as one: the trajectory may follow "
+        "something that moves",
+    )
 
 
 def rival_share(

@@ -6,8 +6,10 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, transform_points
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.pinhole import unproject
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

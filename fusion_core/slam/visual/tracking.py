@@ -18,6 +18,8 @@ from fusion_core.motion.ransac_pnp import ransac_pnp
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.local_map import LocalMap
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, project
@@ -27,7 +29,6 @@ from fusion_core.slam.visual.projection_matching import (
     FeatureGrid,
 )
 from fusion_core.slam.visual.tracked_frame import TrackedFrame
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures
 
 # The search radii of ORB-SLAM2 for RGB-D, on the finest level.
 _MOTION_RADIUS_PX = 15.0

@@ -20,111 +20,8 @@ from fusion_core.model.conventions import (
     read_only,
 )
 from fusion_core.model.geometry import invert_transform
-
-NO_LANDMARK = -1
-"""Of a feature that sees no landmark."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrameFeatures:
-    """The ORB features of one image.
-
-    ``pixels``: (F, 2) u, v by the camera matrix alone: distortion is taken off. ``depths_m``: (F,),
-    z along the optical axis, NaN where missing or at a depth edge. ``octaves``: (F,) level of the
-    pyramid. ``angles_deg``: (F,) orientation. ``descriptors``: (F, 32) uint8.
-    """
-
-    pixels: FloatArray
-    depths_m: FloatArray
-    octaves: IntArray
-    angles_deg: Float32Array
-    descriptors: ByteArray
-
-    def __post_init__(self) -> None:
-        for array in (
-            self.pixels,
-            self.depths_m,
-            self.octaves,
-            self.angles_deg,
-            self.descriptors,
-        ):
-            read_only(array)
-
-    def __len__(self) -> int:
-        return len(self.pixels)
-
-
-def no_features() -> FrameFeatures:
-    """Of an image that shows none."""
-    return FrameFeatures(
-        pixels=np.empty((0, 2)),
-        depths_m=np.empty(0),
-        octaves=np.empty(0, np.int64),
-        angles_deg=np.empty(0, np.float32),
-        descriptors=np.empty((0, 32), np.uint8),
-    )
-
-
-@dataclass(slots=True, kw_only=True, eq=False)
-class Keyframe:
-    """An image of the map.
-
-    ``index``: its number in ``VisualMap.keyframes``. ``T_map_camera``: (4, 4), as estimated so
-    far. ``landmarks``: (F,) the landmark that each feature sees, or NO_LANDMARK. ``parent``: the
-    keyframe that saw most of its landmarks when it was made, None for the first of a map: the
-    spanning tree of the essential graph. ``is_culled``: left out of all that follows, without
-    features; its pose then follows that of its parent, which is kept, by ``T_parent_camera``,
-    (4, 4), None for a keyframe that is kept itself.
-    ``reduced_depth_m``: (h, w) by ``SurfaceSampler``, None where it is not needed any more.
-    """
-
-    index: int
-    stamp_ns: int
-    features: FrameFeatures
-    T_map_camera: FloatArray
-    landmarks: IntArray
-    parent: int | None = None
-    is_culled: bool = False
-    T_parent_camera: FloatArray | None = None
-    reduced_depth_m: Float32Array | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LoopClosure:
-    """Two keyframes that see the same place.
-
-    ``T_first_second``: (4, 4) of their optical frames. ``covariance``: (6, 6) of a small motion of
-    the second in its own frame, rotation first (gtsam's Pose3). ``matches``: (M, 2) the features of
-    both that agree with it.
-    """
-
-    first: int
-    second: int
-    T_first_second: FloatArray
-    covariance: FloatArray
-    matches: IntArray
-
-    def __post_init__(self) -> None:
-        for array in (self.T_first_second, self.covariance, self.matches):
-            read_only(array)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DepthAlignment:
-    """What their depth images say of two keyframes.
-
-    ``T_second_first``: (4, 4) of their optical frames. ``information``: (6, 6) of a small motion
-    from the left, rotation first.
-    """
-
-    first: int
-    second: int
-    T_second_first: FloatArray
-    information: FloatArray
-
-    def __post_init__(self) -> None:
-        for array in (self.T_second_first, self.information):
-            read_only(array)
+from fusion_core.slam.visual.frame_features import FrameFeatures, no_features
+from fusion_core.slam.visual.keyframes import NO_LANDMARK, DepthAlignment, Keyframe, LoopClosure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -430,3 +327,14 @@ class VisualMap:
         if keyframe.T_parent_camera is None or keyframe.parent is None:
             return keyframe.T_map_camera
         return self.pose_of(keyframe.parent) @ keyframe.T_parent_camera
+
+    def nearest_keyframe(self, T_map_camera: FloatArray) -> int:
+        """The kept keyframe whose camera stands nearest, a radian of turn counted as a metre."""
+        kept = self.kept_keyframes
+        T_camera_keyframe = invert_transform(T_map_camera) @ np.stack(
+            [k.T_map_camera for k in kept]
+        )
+        cosines = 0.5 * (np.trace(T_camera_keyframe[:, :3, :3], axis1=1, axis2=2) - 1.0)
+        far = np.linalg.norm(T_camera_keyframe[:, :3, 3], axis=1)
+        far += np.arccos(np.clip(cosines, -1, 1))
+        return kept[int(np.argmin(far))].index

@@ -1,42 +1,41 @@
 """Visual SLAM of an RGB-D camera in six degrees of freedom.
 
 After ORB-SLAM2 (Mur-Artal & Tardos 2017), on which Fu 2024 §3 builds: images are tracked in the
-local map; keyframes extend and adjust it; a place seen again closes a loop. Mapping may run on a
+local map (``tracking``); keyframes extend and adjust the map (``local_mapping``, ``visual_map``); a
+place seen again closes a loop (``loop_closing``). Here is what joins them. Mapping may run on a
 second thread behind tracking: its results are taken over a fixed number of images after a keyframe,
 so that they are the same with and without it.
 """
 
-import time
 from collections.abc import Iterable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion_core.model.conventions import (
     BoolArray,
-    ByteArray,
-    Float32Array,
     FloatArray,
     IntArray,
     read_only,
 )
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import invert_transform, transform_points
+from fusion_core.model.geometry import invert_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
-from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamView, unobserved
+from fusion_core.model.visual_slam_view import VisualSlamObserver, unobserved
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.color_zoom import ColorZoomSettings
 from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings
 from fusion_core.slam.visual.depth_consistency import (
-    DepthCheck,
     DepthCheckSettings,
+    depth_check,
 )
 from fusion_core.slam.visual.depth_surface import SurfaceSampler
 from fusion_core.slam.visual.doubtful_stretches import DoubtfulStretch
 from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.image_trajectory import (
     ImageTrajectory,
     Jump,
@@ -45,6 +44,8 @@ from fusion_core.slam.visual.image_trajectory import (
     find_lost_stretches,
 )
 from fusion_core.slam.visual.keyframe_policy import KeyframePolicy, wants_keyframe
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
+from fusion_core.slam.visual.live_view import LiveView
 from fusion_core.slam.visual.local_map import LocalMap, take_local_map
 from fusion_core.slam.visual.local_mapping import (
     LocalMapping,
@@ -52,24 +53,19 @@ from fusion_core.slam.visual.local_mapping import (
     new_landmarks,
 )
 from fusion_core.slam.visual.loop_closing import LoopCloser, RefusedLoop, VisualLoopSettings
+from fusion_core.slam.visual.mapping_thread import MappingThread
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters
 from fusion_core.slam.visual.relocalisation import LastKnownPose, relocalise
-from fusion_core.slam.visual.rival_motion import RivalMotionCheck, RivalMotionSettings
-from fusion_core.slam.visual.sampled_cloud import sample_cloud
+from fusion_core.slam.visual.rival_motion import RivalMotionSettings, rival_motion_check
+from fusion_core.slam.visual.stage_times import StageTimes
 from fusion_core.slam.visual.tracked_frame import TrackedFrame
 from fusion_core.slam.visual.tracking import Tracker, TrackingLoss, TrackingSettings
-from fusion_core.slam.visual.visual_map import (
-    NO_LANDMARK,
-    FrameFeatures,
-    VisualMap,
-)
+from fusion_core.slam.visual.visual_map import VisualMap
 
 # A keyframe does not wait for mapping where less than this part of the landmarks is left in sight;
 # set by hand.
 _URGENT_RATIO = 0.5
-# Rows of culled landmarks are given back once they are more than this part.
-_CULLED_MAX = 0.5
 
 
 class VisualMappingSettings(StageSettings):
@@ -177,20 +173,31 @@ class _VisualSlam:
         observer: VisualSlamObserver,
         executor: Executor | None,
     ) -> None:
-        self._intrinsics, self._settings, self._observer = intrinsics, settings, observer
-        self._executor = executor
+        self._intrinsics, self._settings = intrinsics, settings
         self._camera = camera_parameters(intrinsics)
         noise, levels = settings.observation_noise, settings.features.levels
         self._extractor = FeatureExtractor(intrinsics, settings.features)
         self._tracker = Tracker(intrinsics, settings.tracking, noise, levels)
-        self._mapping = LocalMapping(
-            intrinsics, settings.local_mapping, noise, levels, settings.depth_alignment
-        )
         self._surfaces = SurfaceSampler(intrinsics)
-        self._depth_check = DepthCheck(intrinsics, settings.depth_check, noise.depth_sigma_per_m2)
-        self._rival_check = RivalMotionCheck(intrinsics, settings.rival_motion, noise)
+        self._checks = (
+            depth_check(intrinsics, settings.depth_check, noise.depth_sigma_per_m2),
+            rival_motion_check(intrinsics, settings.rival_motion, noise),
+        )
         self._map = VisualMap()
         self._loops = LoopCloser(self._map, intrinsics, noise, settings)
+        self._times = StageTimes(
+            ("features", "tracking", "local map", "waiting for mapping", "mapping")
+        )
+        self._mapping = MappingThread(
+            self._map,
+            LocalMapping(
+                intrinsics, settings.local_mapping, noise, levels, settings.depth_alignment
+            ),
+            self._loops,
+            self._times,
+            executor,
+        )
+        self._live_view = LiveView(observer, self._camera)
         self._trajectory = ImageTrajectory()
         self._local: LocalMap | None = None
         self._last: TrackedFrame | None = None
@@ -199,30 +206,23 @@ class _VisualSlam:
         self._since_keyframe = self._since_local_map = 0
         # Of the images since the last keyframe.
         self._most_in_sight = 0
-        self._job: Future[None] | None = None
-        self._is_mapping = False
-        self._clouds: list[tuple[Float32Array, ByteArray]] = []
-        self._seconds = dict.fromkeys(
-            ("features", "tracking", "local map", "waiting for mapping", "mapping"), 0.0
-        )
 
     def add(self, frame: RgbdFrame) -> None:
         """Place the next image."""
-        with _Timer(self._seconds, "features"):
+        with self._times.measure("features"):
             features = self._extractor.extract(frame)
         if self._local is None:
             self._start(frame, features)
             return
         self._since_keyframe += 1
         self._since_local_map += 1
-        if self._is_mapping and self._since_keyframe >= self._settings.visual_mapping.delay_images:
-            self._take_over_mapping()
-        elif (
-            not self._is_mapping
-            and self._since_local_map >= self._settings.visual_mapping.refresh_images
-        ):
+        when = self._settings.visual_mapping
+        if self._mapping.is_running:
+            if self._since_keyframe >= when.delay_images:
+                self._take_over_mapping()
+        elif self._since_local_map >= when.refresh_images:
             self._take_local_map()
-        with _Timer(self._seconds, "tracking"):
+        with self._times.measure("tracking"):
             found = self._tracker.track(features, self._last, self._velocity, self._local)
             if isinstance(found, TrackingLoss) and self._last is None:
                 found = self._relocalised(frame.stamp_ns, features, found)
@@ -255,8 +255,8 @@ class _VisualSlam:
         assert self._local is not None, "tracked images have a local map"
         T_reference_map = invert_transform(self._local.T_map_reference)
         image = len(self._trajectory.stamps_ns)
-        self._depth_check.check(image, frame.depth_m, tracked.T_map_camera, self._local)
-        self._rival_check.check(image, tracked.features, tracked.T_map_camera, self._local)
+        for check in self._checks:
+            check.check(image, frame.depth_m, tracked, self._local)
         before = self._last
         self._velocity = None
         if before is not None:
@@ -279,9 +279,9 @@ class _VisualSlam:
         ):
             return False
         # In a fast turn the map leaves the sight before the usual delay is over.
-        if self._is_mapping and tracked.in_sight < _URGENT_RATIO * self._most_in_sight:
+        if self._mapping.is_running and tracked.in_sight < _URGENT_RATIO * self._most_in_sight:
             self._take_over_mapping()
-        return not self._is_mapping
+        return not self._mapping.is_running
 
     def _add_keyframe(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
         parent = None if self._local is None else self._local.reference
@@ -297,26 +297,19 @@ class _VisualSlam:
         tracked.landmarks = keyframe.landmarks.copy()
         self._trajectory.append(frame.stamp_ns, keyframe.index, np.eye(4), tracked.information)
         self._since_keyframe = self._most_in_sight = 0
-        self._show(frame, tracked)
+        self._live_view.show(self._map, self._trajectory, frame)
         # The new keyframe is seen by tracking at once; what mapping makes of it, later.
         self._take_local_map()
-        self._is_mapping = True
-        if self._executor is None:
-            self._map_keyframe(keyframe.index, made)
-        else:
-            self._job = self._executor.submit(self._map_keyframe, keyframe.index, made)
-
-    def _map_keyframe(self, index: int, made: tuple[int, int]) -> None:
-        with _Timer(self._seconds, "mapping"):
-            self._mapping.include(self._map, index, made)
-            self._loops.add(index)
+        self._mapping.start(keyframe.index, made)
 
     def _take_over_mapping(self) -> None:
         """Let tracking see what mapping has made of the newest keyframe."""
         assert self._local is not None, "mapping follows a keyframe"
-        with _Timer(self._seconds, "waiting for mapping"):
-            self._finish_mapping()
-        self._drop_culled_landmarks()
+        with self._times.measure("waiting for mapping"):
+            self._mapping.wait()
+        rows = self._mapping.drop_culled_landmarks()
+        if rows is not None and self._last is not None:
+            self._last.landmarks = rows[self._last.landmarks]
         if self._last is not None:
             T_reference_last = invert_transform(self._local.T_map_reference) @ (
                 self._last.T_map_camera
@@ -325,21 +318,6 @@ class _VisualSlam:
                 self._map, self._map.pose_of(self._local.reference) @ T_reference_last
             )
         self._take_local_map()
-
-    def _drop_culled_landmarks(self) -> None:
-        """Unless most are kept; the local map is taken anew afterwards."""
-        is_culled = self._map.is_landmark_culled
-        if np.count_nonzero(is_culled) <= _CULLED_MAX * len(is_culled):
-            return
-        rows = self._map.drop_culled_landmarks()
-        self._mapping.follow_rows(rows)
-        if self._last is not None:
-            self._last.landmarks = rows[self._last.landmarks]
-
-    def _finish_mapping(self) -> None:
-        if self._job is not None:
-            self._job.result()
-        self._job, self._is_mapping = None, False
 
     def _take_local_map(self) -> None:
         newest = next(k.index for k in reversed(self._map.keyframes) if not k.is_culled)
@@ -350,7 +328,7 @@ class _VisualSlam:
         if self._last is not None:
             landmarks = self._last.landmarks[self._last.landmarks != NO_LANDMARK]
             landmarks = landmarks[~self._map.is_landmark_culled[landmarks]]
-        with _Timer(self._seconds, "local map"):
+        with self._times.measure("local map"):
             self._local = take_local_map(
                 self._map,
                 reference,
@@ -362,7 +340,7 @@ class _VisualSlam:
     def _relocalised(
         self, stamp_ns: int, features: FrameFeatures, loss: TrackingLoss
     ) -> TrackedFrame | TrackingLoss:
-        if self._is_mapping:
+        if self._mapping.is_running:
             self._take_over_mapping()
         settings = self._settings
         before = self._trajectory.last_tracked()
@@ -385,42 +363,16 @@ class _VisualSlam:
         T_map_camera = found.T_map_camera
         self._local = take_local_map(
             self._map,
-            _nearest_keyframe(self._map, T_map_camera),
+            self._map.nearest_keyframe(T_map_camera),
             np.empty(0, np.int64),
             self._settings.visual_mapping.local_keyframes_max,
         )
         return self._tracker.track_at(features, invert_transform(T_map_camera), self._local)
 
-    def _show(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
-        if self._observer is unobserved:
-            return
-        self._clouds.append(sample_cloud(frame, self._camera))
-        poses = self._trajectory.poses(self._map)
-        of_keyframes = np.stack([self._map.pose_of(k.index) for k in self._map.keyframes])
-        points = [
-            transform_points(T, cloud.astype(np.float64))
-            for T, (cloud, _) in zip(of_keyframes, self._clouds, strict=True)
-        ]
-        known = np.isfinite(poses[:, 0, 0])
-        self._observer(
-            VisualSlamView(
-                stage="tracking",
-                stamps_ns=np.array(self._trajectory.stamps_ns, np.int64)[known],
-                T_map_camera=poses[known],
-                keyframe_stamps_ns=np.array([k.stamp_ns for k in self._map.keyframes], np.int64),
-                T_map_keyframe=of_keyframes,
-                loops=np.array(
-                    [(loop.first, loop.second) for loop in self._map.loops], np.int64
-                ).reshape(-1, 2),
-                points_in_map_m=np.concatenate(points).astype(np.float32),
-                rgb=np.concatenate([rgb for _, rgb in self._clouds]),
-            )
-        )
-
     def result(self) -> VisualSlamResult:
         """The trajectory and the map of all images so far."""
-        self._finish_mapping()
-        with _Timer(self._seconds, "mapping"):
+        self._mapping.wait()
+        with self._times.measure("mapping"):
             self._loops.finish()
         trajectory = self._trajectory
         stamps_ns = np.array(trajectory.stamps_ns, np.int64)
@@ -444,32 +396,7 @@ class _VisualSlam:
             visual_map=self._map,
             lost=lost,
             jumps=find_jumps(stamps_ns, poses, is_tracked),
-            doubtful=(
-                *self._depth_check.doubtful(stamps_ns),
-                *self._rival_check.doubtful(stamps_ns),
-            ),
+            doubtful=tuple(s for check in self._checks for s in check.doubtful(stamps_ns)),
             refused_loops=tuple(self._loops.refused),
-            seconds=dict(self._seconds),
+            seconds=dict(self._times.seconds),
         )
-
-
-class _Timer:
-    """Adds the time of a block to a stage's seconds."""
-
-    def __init__(self, seconds: dict[str, float], stage: str) -> None:
-        self._seconds, self._stage = seconds, stage
-
-    def __enter__(self) -> None:
-        self._start_s = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._seconds[self._stage] += time.perf_counter() - self._start_s
-
-
-def _nearest_keyframe(visual_map: VisualMap, T_map_camera: FloatArray) -> int:
-    """The keyframe whose camera stands nearest, a radian of turn counted as a metre."""
-    kept = visual_map.kept_keyframes
-    T_camera_keyframe = invert_transform(T_map_camera) @ np.stack([k.T_map_camera for k in kept])
-    cosines = 0.5 * (np.trace(T_camera_keyframe[:, :3, :3], axis1=1, axis2=2) - 1.0)
-    far = np.linalg.norm(T_camera_keyframe[:, :3, 3], axis=1) + np.arccos(np.clip(cosines, -1, 1))
-    return kept[int(np.argmin(far))].index

@@ -11,8 +11,10 @@ import numpy as np
 
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.relative_pose_refinement import small_motion
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
 # Keyframes whose landmarks the imitated tracker still knows.

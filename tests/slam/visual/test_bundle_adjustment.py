@@ -10,8 +10,8 @@ from scipy.optimize import least_squares
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, adjust_bundle
 from fusion_core.slam.visual.global_adjustment import adjust_sparse
+from fusion_core.slam.visual.keyframes import DepthAlignment
 from fusion_core.slam.visual.pose_optimisation import exp_se3
-from fusion_core.slam.visual.visual_map import DepthAlignment
 
 CAMERA = np.array([525.0, 525.0, 319.5, 239.5])
 DEPTH_SIGMA = 0.003

@@ -8,11 +8,10 @@ from fusion_core.model.geometry import invert_transform
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.depth_alignment import align_depths
 from fusion_core.slam.visual.depth_consistency import (
-    DepthCheck,
-    DepthCheckSettings,
     contradicted_share,
 )
 from fusion_core.slam.visual.depth_surface import SurfaceSampler
+from fusion_core.slam.visual.doubtful_stretches import PoseCheck
 from fusion_core.slam.visual.pose_optimisation import exp_se3
 
 CAMERA = CameraIntrinsics(width=320, height=240, fx=290.0, fy=288.0, cx=158.0, cy=121.0)
@@ -140,8 +139,16 @@ def test_what_moves_contradicts_the_motion():
 
 
 def test_neighbouring_doubts_are_one_stretch():
-    check = DepthCheck(CAMERA, DepthCheckSettings(check_images=5), SIGMA)
-    check._shares.update({0: 0.0, 5: 0.2, 10: 0.3, 15: 0.0, 20: 0.15})
+    shares = iter([0.0, 0.2, 0.3, None, 0.15])
+    check = PoseCheck(
+        lambda *_: next(shares),
+        check_images=5,
+        share_max=0.1,
+        gap_images=0,
+        says="of the depth image contradicts the motion",
+    )
+    for image in range(25):
+        check.check(image, None, None, None)
     found = check.doubtful(np.arange(30, dtype=np.int64))
     assert [(s.first_stamp_ns, s.last_stamp_ns) for s in found] == [(1, 10), (16, 20)]
     assert found[0].share == 0.3

@@ -3,6 +3,8 @@
 import numpy as np
 
 from fusion_core.model.geometry import transform_points
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.local_mapping import (
     LocalMapping,
     LocalMappingSettings,
@@ -10,7 +12,7 @@ from fusion_core.slam.visual.local_mapping import (
 )
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, unproject
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
+from fusion_core.slam.visual.visual_map import VisualMap
 from tests.slam.visual.feature_world import INTRINSICS, hall, observe, round_trip
 
 KEYFRAMES, VANISHED_AFTER = 15, 3

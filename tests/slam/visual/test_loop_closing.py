@@ -12,11 +12,11 @@ from fusion_core.slam.visual.global_adjustment import (
     adjust_globally,
     observation_chi2,
 )
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.landmark_fusion import move_landmarks
 from fusion_core.slam.visual.loop_closing import LoopCloser, VisualLoopSettings
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.relative_pose_refinement import project
-from fusion_core.slam.visual.visual_map import NO_LANDMARK
 from tests.slam.visual.feature_world import (
     INTRINSICS,
     DriftingTracker,

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.projection_matching import (
     FeatureGrid,
     descriptor_words,
     hamming,
     predict_octaves,
 )
-from fusion_core.slam.visual.visual_map import FrameFeatures
 
 
 def features(rng, count=300):

@@ -6,11 +6,11 @@ import pytest
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.doubtful_stretches import join_doubts
+from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.observation_noise import ObservationNoise
 from fusion_core.slam.visual.pinhole import camera_parameters, project
 from fusion_core.slam.visual.pose_optimisation import exp_se3
 from fusion_core.slam.visual.rival_motion import rival_share
-from fusion_core.slam.visual.visual_map import FrameFeatures
 
 CAMERA = CameraIntrinsics(width=640, height=480, fx=585.0, fy=585.0, cx=319.5, cy=239.5)
 MOTION = exp_se3(np.array([0.02, 0.05, -0.01, 0.05, 0.02, 0.1]))

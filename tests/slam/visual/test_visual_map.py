@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, FrameFeatures, VisualMap
+from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
+from fusion_core.slam.visual.visual_map import VisualMap
 
 FEATURES = 12
 

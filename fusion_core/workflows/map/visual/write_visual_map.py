@@ -9,7 +9,8 @@ from fusion_core.files.npz import write_arrays
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.trajectory import Trajectory
-from fusion_core.slam.visual.visual_map import NO_LANDMARK, VisualMap
+from fusion_core.slam.visual.keyframes import NO_LANDMARK
+from fusion_core.slam.visual.visual_map import VisualMap
 from fusion_core.slam.visual.visual_slam import VisualSlamResult
 
 
