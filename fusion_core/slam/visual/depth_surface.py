@@ -138,6 +138,7 @@ def _block_normals(
     """
     height, width = points.shape[0], points.shape[1]
     normals = np.full((height, width, 3), np.nan)
+    inverse = 1.0 / points[:, :, 2]
     n = np.empty(3)
     for row in range(reach, height - reach):
         for column in range(reach, width - reach):
@@ -147,8 +148,8 @@ def _block_normals(
             xx, xy, yy, x_half, y_half = 0.0, 0.0, 0.0, 0.0, 0.0
             for y in range(reach + 1):
                 for x in range(-reach if y else 1, reach + 1):
-                    one = 1.0 / points[row - y, column - x, 2]
-                    other = 1.0 / points[row + y, column + x, 2]
+                    one = inverse[row - y, column - x]
+                    other = inverse[row + y, column + x]
                     mean, half = 0.5 * (one + other), 0.5 * (other - one)
                     # NaN compares false.
                     if abs(mean * z - 1.0) <= edge_ratio:

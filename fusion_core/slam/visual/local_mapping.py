@@ -13,7 +13,7 @@ from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.bundle_adjustment import BundleProblem, adjust_bundle
 from fusion_core.slam.visual.depth_alignment import DepthAlignmentSettings, align_depths
-from fusion_core.slam.visual.depth_surface import SurfaceSampler
+from fusion_core.slam.visual.depth_surface import DepthSurface, SurfaceSampler
 from fusion_core.slam.visual.expected_views import expect_views
 from fusion_core.slam.visual.features import octave_scales
 from fusion_core.slam.visual.keyframes import NO_LANDMARK, DepthAlignment, Keyframe
@@ -79,7 +79,9 @@ class LocalMapping:
     ) -> None:
         self._settings, self._noise, self._levels = settings, noise, levels
         self._alignment = alignment or DepthAlignmentSettings()
-        self._surfaces = SurfaceSampler(intrinsics)
+        self._sampler = SurfaceSampler(intrinsics)
+        # Of the keyframes to which the last one was aligned: the next one mostly has the same.
+        self._surfaces: dict[int, DepthSurface] = {}
         self._size = (intrinsics.width, intrinsics.height)
         self._camera = camera_parameters(intrinsics)
         # Of the keyframes on trial: the first of the landmarks that each made, and the last + 1.
@@ -146,14 +148,19 @@ class LocalMapping:
         if keyframe.reduced_depth_m is None:
             return
         beside, _ = visual_map.covisible(keyframe.index)
-        source = self._surfaces.surface(keyframe.reduced_depth_m)
+        source = self._sampler.surface(keyframe.reduced_depth_m)
+        surfaces = {keyframe.index: source}
         for index in beside[: self._alignment.neighbours_max].tolist():
             other = visual_map.keyframes[index]
             if other.reduced_depth_m is None:
                 continue
+            target = self._surfaces.get(index)
+            if target is None:
+                target = self._sampler.surface(other.reduced_depth_m)
+            surfaces[index] = target
             found = align_depths(
                 source,
-                self._surfaces.surface(other.reduced_depth_m),
+                target,
                 invert_transform(other.T_map_camera) @ keyframe.T_map_camera,
                 self._noise.depth_sigma_per_m2,
                 self._alignment.overlap_min,
@@ -168,6 +175,7 @@ class LocalMapping:
                         information=information,
                     )
                 )
+        self._surfaces = surfaces
 
     def _fuse(self, visual_map: VisualMap, keyframe: Keyframe, others: list[int]) -> None:
         """Let a keyframe see the landmarks of others that project onto its features."""
