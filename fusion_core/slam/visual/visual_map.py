@@ -8,6 +8,7 @@ landmarks until ``VisualMap.drop_culled_landmarks``.
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -209,9 +210,8 @@ class VisualMap:
     def _most_sharing(
         self, landmarks: IntArray, shared_min: int, without: int | None
     ) -> tuple[IntArray, IntArray]:
-        counts: Counter[int] = Counter()
-        for landmark in landmarks.tolist():
-            counts.update(self._observers[landmark].keys())
+        observers = self._observers
+        counts = Counter(chain.from_iterable(observers[row] for row in landmarks.tolist()))
         if without is not None:
             counts.pop(without, None)
         # Of equal counts the newer keyframe first, so that the order is one and the same.
