@@ -109,7 +109,9 @@ def test_a_preset_needs_no_settings_file(preset: str) -> None:
     assert (options.preset, options.settings_file) == (preset, None)
 
 
-@pytest.mark.parametrize("step", ["hashing the input", "searching (u, v)", "fusing", "done"])
+@pytest.mark.parametrize(
+    "step", ["hashing the input", "matching scans with images", "fusing", "done"]
+)
 def test_a_cancelled_build_leaves_nothing(step: str, small_scene: Path, tmp_path: Path) -> None:
     def cancel(done: int, total: int | None, what: str) -> None:
         if what == step:

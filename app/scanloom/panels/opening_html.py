@@ -10,10 +10,10 @@ from typing import Literal
 from fusion_core.model.names import printable
 from scanloom.page.bridge import press_attributes
 from scanloom.page.markup import name_html
+from scanloom.scene.duration_text import duration_text
 from scanloom.state.folder_listing import FolderPage
 from scanloom.state.recording_details import RecordingDetails
 
-_MINUTES_FROM_S = 120.0
 _FOLDER = (
     '<svg width="16" height="14" viewBox="0 0 16 14" aria-hidden="true" fill="currentColor">'
     '<path d="M1 1h5l2 2h7v10H1z" opacity="0.6"/></svg>'
@@ -157,17 +157,11 @@ def _details_text(details: RecordingDetails) -> str:
     streams = ", ".join(details.streams) or "no LiDAR, depth or odometry"
     parts = [details.format]
     if details.duration_s is not None:
-        parts.append(_duration_text(details.duration_s))
+        parts.append(duration_text(details.duration_s))
     if details.duration_s is not None or details.streams:
         parts.append(streams)
     parts.append(_size_text(details.size_bytes))
     return " · ".join(parts)
-
-
-def _duration_text(duration_s: float) -> str:
-    if duration_s < _MINUTES_FROM_S:
-        return f"{duration_s:.1f} s"
-    return f"{duration_s:,.0f} s ({duration_s / 60.0:,.0f} min)"
 
 
 def _size_text(size_bytes: int) -> str:

@@ -11,6 +11,7 @@ from fusion_core.workflows.map.visual_result_folder import VisualResults
 from scanloom.jobs.slam_run import SlamRun
 from scanloom.page.markup import report_line
 from scanloom.plots.run_comparison import TrajectoryDifference
+from scanloom.scene.duration_text import duration_text
 
 # Set by hand; report.json lists all.
 _MAX_SEGMENTS = 12
@@ -32,8 +33,8 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
     if run.visual is not None:
         yield from visual_report_lines(run, run.visual)
         return
-    yield "path", f"{report['path_m']:.1f} m in {report['duration_s']:.1f} s"
-    yield "scans", f"{report['scans']} placed"
+    yield "path", f"{report['path_m']:.1f} m in {duration_text(report['duration_s'])}"
+    yield "scans", f"{report['scans']:,} placed"
     if "loops" in report:
         dropped = report.get("loops_dropped", 0)
         why = ", which the others contradict" if dropped else ""
@@ -51,7 +52,7 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
     yield "trusted", f"{100.0 * report['trusted_share']:.1f} % of the scans"
     yield from _unreliable_segments(run)
     for stage, seconds in ({} if run.summary is None else run.summary.seconds).items():
-        yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
+        yield "time", f"{stage.replace('_', ' ')} {duration_text(seconds)}"
     for note in report["notes"]:
         # The command line prints ASCII.
         yield "note", note.replace("+-", "±")
@@ -62,11 +63,11 @@ def visual_report_lines(run: SlamRun, visual: VisualResults) -> Iterator[tuple[s
     report, stamps_ns = run.files.report, visual.trajectory.stamps_ns
     steps_m = np.linalg.norm(np.diff(visual.trajectory.T_map_body[:, :3, 3], axis=0), axis=1)
     duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
-    yield "path", f"{steps_m.sum():.1f} m in {duration_s:.1f} s"
-    of = f" of {report['images']}" if "images" in report else ""
-    yield "images", f"{stamps_ns.size}{of} placed"
+    yield "path", f"{steps_m.sum():.1f} m in {duration_text(duration_s)}"
+    of = f" of {report['images']:,}" if "images" in report else ""
+    yield "images", f"{stamps_ns.size:,}{of} placed"
     yield "keyframes", f"{visual.stamps_ns.size}"
-    yield "landmarks", f"{len(visual.landmarks_in_map_m)}"
+    yield "landmarks", f"{len(visual.landmarks_in_map_m):,}"
     yield "loops", f"{len(visual.loops)} closed"
     points = report.get("volumes", {}).get("points", 0)
     if points:
@@ -75,7 +76,7 @@ def visual_report_lines(run: SlamRun, visual: VisualResults) -> Iterator[tuple[s
     for jump in report.get("jumps", [])[:_MAX_SEGMENTS]:
         yield "jump", _jump_text(jump, stamps_ns[0] / NS_PER_S)
     for stage, seconds in ({} if run.summary is None else run.summary.seconds).items():
-        yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
+        yield "time", f"{stage.replace('_', ' ')} {duration_text(seconds)}"
     for note in report.get("notes", []):
         yield "note", note.replace("+-", "±")
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
 from scanloom.page.markup import name_html
+from scanloom.scene.duration_text import duration_text
 
 _HEAD = "<th align='left' style='padding-right:0.5em;white-space:nowrap'>"
 _NAME = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top'>"
@@ -21,7 +22,7 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
     # Above the table: damage must be seen without scrolling.
     warnings = [f"<b>Warning:</b> {html.escape(line)}" for line in described["warnings"]]
     duration_s = described["duration_s"]
-    time = "" if duration_s is None else f", {duration_s:.1f} s"
+    time = "" if duration_s is None else f", {duration_text(duration_s)}"
     return (
         "<div style='padding:0 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"<div>{html.escape(described['format'])}{time}</div>"
@@ -39,7 +40,7 @@ def _paragraphs(lines: Iterable[str]) -> str:
 def _row(topic: Mapping[str, Any]) -> str:
     rate_hz = topic["rate_hz"]
     rate = "–" if rate_hz is None else f"{rate_hz:.1f}"
-    cells = (topic["role"].replace("_", " "), topic["count"], rate)
+    cells = (topic["role"].replace("_", " "), f"{topic['count']:,}", rate)
     name = f"{_NAME}{name_html(topic['name'], is_broken=True)}</td>"
     return f"<tr>{name}{''.join(f'{_CELL}{cell}</td>' for cell in cells)}</tr>"
 

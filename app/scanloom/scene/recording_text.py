@@ -1,6 +1,7 @@
 """What a recording holds, in sentences."""
 
 from fusion_core.workflows.fuse.session import Session
+from scanloom.scene.duration_text import duration_text
 from scanloom.state.open_recording import OpenRecording
 
 
@@ -25,6 +26,8 @@ def alone_sentence(open_recording: OpenRecording) -> str:
     elif streams.odometry is not None:
         held = _counted(open_recording, "pose", "of the odometry")
         missing = "neither LiDAR nor depth camera"
+    elif open_recording.has_turning_lidar:
+        return "A turning 3D LiDAR and a camera: Calibrate finds their pose"
     elif not any(topic.count for topic in open_recording.recording.topics):
         return "The recording holds no messages: there is nothing to show"
     else:
@@ -65,7 +68,5 @@ def _counted(open_recording: OpenRecording, what: str, whose: str) -> str:
     times_ns = open_recording.frames.times_ns
     count = len(times_ns)
     duration_s = float(times_ns[-1] - times_ns[0]) / 1e9 if count > 1 else 0.0
-    # "0 s" would say that there is one instant.
-    decimals = 0 if duration_s >= 1.0 else 2
     plural = "" if count == 1 else "s"
-    return f"{count:,} {what}{plural} {whose} in {duration_s:.{decimals}f} s"
+    return f"{count:,} {what}{plural} {whose} in {duration_text(duration_s)}"

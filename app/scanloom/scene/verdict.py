@@ -189,7 +189,7 @@ def _unpaired_text(frame_view: FrameView, review: ReviewOverlay) -> str:
 
 def counted(number: int, what: str) -> str:
     """A number of things, in words that agree with it."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 def _map(frame_view: FrameView) -> Verdict:

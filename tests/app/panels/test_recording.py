@@ -355,6 +355,6 @@ def test_a_table_without_gaps_says_so_and_one_without_times_says_nothing() -> No
 
 def test_what_a_recording_says_is_text() -> None:
     table = described()
-    assert "ROS &lt;2&gt;, 6.0 s" in table
+    assert "ROS &lt;2&gt;, 6 s" in table
     assert "It can be &lt;fused&gt;." in table
     assert table.index("<b>Warning:</b> /b is &lt;broken&gt;.") < table.index("<table")

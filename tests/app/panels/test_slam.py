@@ -176,7 +176,7 @@ def test_a_run_shows_its_map_its_report_and_its_floor(page: Page, bench: Bench) 
     page.until_says("83.3 % of the scans")
     page.until_says("2.0 s to 2.9 s: 10 scans do not fit the map")
     page.until_says("2 closed, 1 dropped")
-    page.until_says("local slam 2.2 s")
+    page.until_says("local slam 2 s")
     # What a recording has in its names is no markup.
     assert not any("<b>& more" in str(w.props.get("content")) for w in page.client.widgets.values())
     assert page.widget("Result").props["visible"]

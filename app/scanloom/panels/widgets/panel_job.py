@@ -125,7 +125,7 @@ class PanelJob:
             return
         self._stage, self._advanced_s = what, now_s
         percent = 100.0 * done / total if total else 100.0
-        count = f", {done} of {total}" if total else f", {done}" if done else ""
+        count = f", {done:,} of {total:,}" if total else f", {done:,}" if done else ""
         update_widget(self._progress, value=round(min(percent, 100.0), 1), animated=not total)
         # The first letter alone: what is fused or drawn may be a name.
         text = f"{what[:1].upper()}{what[1:]}{count}"
