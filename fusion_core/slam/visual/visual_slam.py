@@ -145,11 +145,13 @@ def visual_slam(
     observer: VisualSlamObserver = unobserved,
     *,
     executor: Executor | None = None,
+    image_count: int | None = None,
 ) -> VisualSlamResult:
     """Track a camera's images, whose stamps increase, and map what they see.
 
     ``intrinsics``: of the grey images. ``executor``: on which mapping runs behind tracking; without
-    it mapping runs in between, with the same result.
+    it mapping runs in between, with the same result. ``image_count``: how many frames there are at
+    most, for ``progress``.
 
     Raises MappingFailed where no image can start a map.
     """
@@ -161,7 +163,8 @@ def visual_slam(
     )
     for count, frame in enumerate(frames, start=1):
         run.add(frame)
-        progress(count, None, "visual SLAM")
+        progress(count, image_count, "placing images")
+    progress(0, None, "adjusting the whole map")
     return run.result()
 
 

@@ -309,11 +309,11 @@ def _collect(
     for entry in pairs:
         if isinstance(entry, LaserScan):
             # The callback may cancel the run: there may be no images for long.
-            progress(sum(seen), image_count, "searching (u, v)")
+            progress(sum(seen), image_count, "matching scans with images")
             continue
         # Counted per camera, so that a regular order of the cameras leaves none out.
         seen[entry.camera] += 1
-        progress(sum(seen), image_count, "searching (u, v)")
+        progress(sum(seen), image_count, "matching scans with images")
         if entry.window is None:
             continue
         scan = entry.window.scan

@@ -89,6 +89,14 @@ class RgbdFrames:
             self.notes = (f"{purpose} follows {self._color} alone.",)
         self.intrinsics = self._intrinsics(streams.camera_info[0])
 
+    @property
+    def image_count(self) -> int | None:
+        """Depth images in the recording, None where its index does not say; those without colour
+        count too."""
+        return next(
+            (topic.count for topic in self._recording.topics if topic.name == self._depth), None
+        )
+
     def _intrinsics(self, info_topic: str | None) -> CameraIntrinsics:
         depth, color = (first_value(self._recording, name) for name in (self._depth, self._color))
         info = None if info_topic is None else first_value(self._recording, info_topic)

@@ -1,6 +1,6 @@
 """The keyframes' images at their final poses, assembled to the maps in space."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sized
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -97,10 +97,11 @@ def assemble_volumes(
     )
     mesh = _Coarsening(lambda side_m: MeshBuilder(settings.mesh, side_m), settings.mesh.voxel_m)
     poses: list[FloatArray] = []
+    count = len(views) if isinstance(views, Sized) else None
     is_first, wants_octree, wants_mesh = True, True, True
     while is_first or wants_octree or wants_mesh:
         for done, (frame, T_map_camera) in enumerate(views):
-            progress(done, None, "assembling the maps in space")
+            progress(done, count, "adding keyframes to cloud, mesh and octree")
             if not np.isfinite(T_map_camera).all():
                 raise MappingFailed(
                     f"the pose of the keyframe at {frame.stamp_ns} ns is not finite."

@@ -80,7 +80,13 @@ def map_visually(
     one_thread = options.workers == 1
     with nullcontext() if one_thread else ThreadPoolExecutor(1) as executor:
         result = visual_slam(
-            frames, frames.intrinsics, settings, progress, observer, executor=executor
+            frames,
+            frames.intrinsics,
+            settings,
+            progress,
+            observer,
+            executor=executor,
+            image_count=recorded.image_count,
         )
     # Adjusting the whole map takes several times the memory of what is kept.
     give_freed_memory_back()

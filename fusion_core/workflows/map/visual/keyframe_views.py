@@ -23,6 +23,9 @@ class KeyframeViews:
         self._read_frame = read_frame
         self._stamps_ns, self._T_map_camera = stamps_ns, T_map_camera
 
+    def __len__(self) -> int:
+        return len(self._stamps_ns)
+
     def __iter__(self) -> Iterator[tuple[RgbdFrame, FloatArray]]:
         for stamp_ns, T_map_camera in zip(
             self._stamps_ns.tolist(), self._T_map_camera, strict=True
