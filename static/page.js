@@ -28,6 +28,13 @@
     return null;
   }
 
+  // viser takes back the address of a picture as soon as the next one is there, which may be before
+  // the browser has begun to load it.
+  const LOADING_MS = 2000;
+  // Without "window." it is the document's own URL here.
+  const revoke = window.URL.revokeObjectURL.bind(window.URL);
+  window.URL.revokeObjectURL = (address) => setTimeout(() => revoke(address), LOADING_MS);
+
   let later = 0;
   function send() {
     clearTimeout(later);
