@@ -98,7 +98,7 @@ def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
         assert running.stderr is not None
         try:
             # The folder is held from here on.
-            assert any("reading" in line or "searching" in line for line in running.stderr)
+            assert any("reading" in line or "matching" in line for line in running.stderr)
             assert out.exists()
             running.send_signal(signal.SIGTERM)
             _, errors = running.communicate(timeout=ENOUGH_S)

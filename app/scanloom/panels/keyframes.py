@@ -243,7 +243,7 @@ def match_text(visual: VisualResults, first: int, second: int) -> str:
 def _title(visual: VisualResults, number: int) -> str:
     since_s = (visual.stamps_ns[number] - visual.trajectory.stamps_ns[0]) / NS_PER_S
     features = int(visual.offsets[number + 1] - visual.offsets[number])
-    return f"keyframe {number + 1} at {since_s:.2f} s, {features} features"
+    return f"keyframe {number + 1} at {since_s:.2f} s, {features:,} features"
 
 
 def _loop_name(visual: VisualResults, loop: int) -> str:
