@@ -13,8 +13,6 @@ from fusion_core.model.progress import silent
 from fusion_core.workflows.calibrate.lidar import LidarOptions, calibrate_lidar, lidar_lines
 from tests.workflows.calibrate.turns import TurnFile, small_turn
 
-DATA = small_turn()
-TRUTH = np.array([DATA.theta_rad, DATA.beta_rad, *DATA.delta_m])
 # Must-show bounds for 1 cm of noise: degrees and metres, here with a twentieth of the points.
 BOUNDS = np.array([np.deg2rad(0.02)] * 2 + [1e-3] * 2)
 
@@ -32,7 +30,9 @@ def few_points(tmp_path, points_max):
 
 
 def error_of(document):
-    return np.array([document[name] for name in SELF_CALIBRATION_PARAMETERS]) - TRUTH
+    data = small_turn()
+    truth = np.array([data.theta_rad, data.beta_rad, *data.delta_m])
+    return np.array([document[name] for name in SELF_CALIBRATION_PARAMETERS]) - truth
 
 
 def broken(points):
@@ -79,7 +79,7 @@ def test_the_mounting_is_found(tmp_path, file, note):
 @pytest.mark.slow
 def test_an_axis_that_stands_still_in_each_scan(tmp_path):
     # A view is one scan here, of so few beams that it needs all of them.
-    file = TurnFile(data=small_turn(steps=True), instants=False)
+    file = TurnFile(steps=True, instants=False)
     document = calibrate(tmp_path, file, points_max=300_000)
     assert (np.abs(error_of(document)) < BOUNDS).all()
     assert "at the stamp" in " ".join(document["notes"])
@@ -91,7 +91,7 @@ def test_an_axis_that_stands_still_in_each_scan(tmp_path):
         pytest.param(TurnFile(axis="none"), "no angles of the axis", id="no angles"),
         pytest.param(TurnFile(angle_scale=0.0), "stands still", id="still joint"),
         pytest.param(TurnFile(angle_scale=0.0, axis="tf"), "stands still", id="still tf"),
-        pytest.param(TurnFile(data=small_turn(turn_deg=180.0)), "180 deg", id="half a turn"),
+        pytest.param(TurnFile(turn_deg=180.0), "180 deg", id="half a turn"),
         pytest.param(TurnFile(angle_scale=57.3), "radians", id="degrees"),
         pytest.param(TurnFile(change_points=lambda p: 1e3 * p), "metres", id="millimetres"),
         pytest.param(TurnFile(change_points=lambda p: np.nan * p), "finite", id="no points"),
@@ -123,10 +123,11 @@ def test_the_dense_cloud_is_that_of_the_room(tmp_path):
     cloud = o3d.t.io.read_point_cloud(str(tmp_path / "turn.ply"))
     in_rig = cloud.point.positions.numpy()
     assert "intensity" in cloud.point
-    in_room = in_rig @ DATA.T_room_rig[:3, :3].T + DATA.T_room_rig[:3, 3]
-    beyond = np.maximum(-in_room, in_room - np.array(DATA.room_size_m)).max(axis=1)
+    data = small_turn()
+    in_room = in_rig @ data.T_room_rig[:3, :3].T + data.T_room_rig[:3, 3]
+    beyond = np.maximum(-in_room, in_room - np.array(data.room_size_m)).max(axis=1)
     assert np.percentile(beyond, 99.9) < 0.05
-    assert len(in_rig) > 0.99 * sum(len(scan.points_m) for scan in DATA.scans)
+    assert len(in_rig) > 0.99 * sum(len(scan.points_m) for scan in data.scans)
 
 
 @pytest.mark.slow

@@ -32,16 +32,21 @@ def small_turn(*, steps: bool = False, turn_deg: float = 360.0) -> TurningRigDat
 
 @dataclass(frozen=True, kw_only=True)
 class TurnFile:
-    """How a turn is written. ``mounting``: in /tf_static, None for none. ``axis``: what tells its
-    angle: joint, tf or none. ``change_points``: of the (N, 3) points of one cloud. ``instants``:
-    whether points have their own."""
+    """A turn and how it is written. ``mounting``: in /tf_static, None for none. ``axis``: what
+    tells its angle: joint, tf or none. ``change_points``: of the (N, 3) points of one cloud.
+    ``instants``: whether points have their own."""
 
-    data: TurningRigData = field(default_factory=small_turn)
+    turn_deg: float = 360.0
+    steps: bool = False
     mounting: np.ndarray | None = field(default_factory=lambda: T_AXIS_LIDAR_NOMINAL)
     axis: str = "joint"
     angle_scale: float = 1.0
     change_points: Callable[[np.ndarray], np.ndarray] | None = None
     instants: bool = True
+
+    @property
+    def data(self) -> TurningRigData:
+        return small_turn(steps=self.steps, turn_deg=self.turn_deg)
 
     def write(self, path: Path) -> Path:
         with Ros2McapWriter(path) as writer:
