@@ -1,8 +1,8 @@
 """The keyframes' images at their final poses, assembled to the maps in space."""
 
-from collections.abc import Callable, Iterable, Sized
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -25,8 +25,13 @@ from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import SettingsGroup
 from fusion_core.workflows.map.keyframe_images import KeyframeImages, colors_of_depth
 
-Views = Iterable[tuple[RgbdFrame, FloatArray]]
-"""Keyframes with (4, 4) T_map_camera of the optical frame, iterable any number of times."""
+
+class Views(Protocol):
+    """Keyframes with (4, 4) T_map_camera of the optical frame, iterable any number of times."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[RgbdFrame, FloatArray]]: ...
 
 
 class VolumeSettings(SettingsGroup):
@@ -97,11 +102,10 @@ def assemble_volumes(
     )
     mesh = _Coarsening(lambda side_m: MeshBuilder(settings.mesh, side_m), settings.mesh.voxel_m)
     poses: list[FloatArray] = []
-    count = len(views) if isinstance(views, Sized) else None
     is_first, wants_octree, wants_mesh = True, True, True
     while is_first or wants_octree or wants_mesh:
         for done, (frame, T_map_camera) in enumerate(views):
-            progress(done, count, "adding keyframes to cloud, mesh and octree")
+            progress(done, len(views), "adding keyframes to cloud, mesh and octree")
             if not np.isfinite(T_map_camera).all():
                 raise MappingFailed(
                     f"the pose of the keyframe at {frame.stamp_ns} ns is not finite."

@@ -33,6 +33,9 @@ class SphereViews:
         self.count, self.intrinsics = count, intrinsics
         self.passes = 0
 
+    def __len__(self):
+        return self.count
+
     def __iter__(self):
         self.passes += 1
         for i, T_map_camera in enumerate(poses(self.count)):

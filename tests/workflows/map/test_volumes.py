@@ -109,6 +109,9 @@ class Frames:
         self.frames = frames
         self.T_map_camera = np.eye(4) if T_map_camera is None else T_map_camera
 
+    def __len__(self):
+        return len(self.frames)
+
     def __iter__(self):
         for frame in self.frames:
             yield frame, self.T_map_camera

@@ -34,8 +34,7 @@ class KeyframeViews:
 
     def spread(self, count: int) -> "KeyframeViews":
         """At most ``count`` of them, spread evenly."""
-        total = len(self._stamps_ns)
-        chosen = np.linspace(0, total - 1, min(total, count)).astype(np.int64)
+        chosen = np.linspace(0, len(self) - 1, min(len(self), count)).astype(np.int64)
         return KeyframeViews(self._read_frame, self._stamps_ns[chosen], self._T_map_camera[chosen])
 
     def depth_intrinsics(self, intrinsics: CameraIntrinsics) -> CameraIntrinsics:
