@@ -30,6 +30,8 @@ FETCH = """async image => {
     return btoa(Array.from(bytes, byte => String.fromCharCode(byte)).join(''));
 }"""
 
+DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
 
 @dataclass
 class Person:
@@ -215,7 +217,18 @@ class Person:
 
 
 def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> Person:
-    """The person at a page whose session is none of those known; their recording is aligned."""
+    """The person at a page whose session is none of those known, once their recording is aligned
+    and the page takes keys."""
+    person = Person(page, _aligned_session(page, workbench, known))
+    page.wait_for_function("window.scanloomPage")
+    # The browser keeps a view after it has taken in all that came before it, the keys among that;
+    # they are heard once it has drawn.
+    person.wait_until(lambda: person.kept() == person.session.view.to_link())
+    page.evaluate(DRAWN)
+    return person
+
+
+def _aligned_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> ClientSession:
     deadline_s = time.monotonic() + ENOUGH_S
     while time.monotonic() < deadline_s:
         for session in workbench.sessions:
@@ -224,8 +237,7 @@ def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> 
                 and session.frame_view is not None
                 and session.frame_view.chain is not None
             ):
-                page.wait_for_function("window.scanloomPage")
-                return Person(page, session)
+                return session
         page.wait_for_timeout(50)
     shown = [session.frame_view and session.frame_view.failure for session in workbench.sessions]
     raise AssertionError(f"no session was aligned: {shown}")

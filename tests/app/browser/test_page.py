@@ -57,6 +57,7 @@ def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
         # It could not be dragged if it were shorter.
         assert width_px(slider) > 60
         person.page.keyboard.press("p")
+    person.page.context.close()
 
 
 def width_px(locator: Locator) -> float:

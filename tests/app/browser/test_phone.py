@@ -1,6 +1,6 @@
 """The page on a phone: one sheet below the scene, and fingers instead of a mouse."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ BEYOND = """() => [...document.querySelectorAll("button, input, textarea, img, t
 
 
 @pytest.fixture(scope="module")
-def owner(arrive: Callable[..., Person]) -> Person:
+def owner(arrive: Callable[..., Person]) -> Iterator[Person]:
     """A person with a phone, who has opened all sections."""
     screen = {"width": WIDTH_PX, "height": HEIGHT_PX}
     person = arrive(viewport=screen, has_touch=True, is_mobile=True)
@@ -38,7 +38,8 @@ def owner(arrive: Callable[..., Person]) -> Person:
         expect(person.live(picture)).to_be_hidden()
         head.tap()
         expect(person.live(picture)).to_be_visible()
-    return person
+    yield person
+    person.page.context.close()
 
 
 @pytest.fixture
