@@ -35,9 +35,30 @@ def is_button(name: str) -> str:
     return f"it.tagName === 'BUTTON' && it.textContent.trim() === '{name}'"
 
 
-def test_the_whole_way_by_keyboard(person: Person, output_root: Path) -> None:
+def open_by_keyboard(person: Person, recording: Path) -> None:
+    """From the page to the dialog, and back with the recording aligned."""
+    person.page.keyboard.press("o")
+    # The dialog has the focus as soon as it is open, so Tab goes through it alone.
+    expect(person.page.locator(".scanloom-files").get_by_text(recording.name)).to_be_visible()
+    tab_to(person, f"it.closest('.scanloom-files') && it.textContent.includes('{recording.name}')")
+    person.page.keyboard.press("Enter")
+    person.wait_until(
+        lambda: (
+            person.frame_view.view.recording == recording.name
+            and person.frame_view.chain is not None
+        )
+    )
+    expect(person.page.get_by_role("dialog")).to_have_count(0)
+
+
+def test_the_whole_way_by_keyboard(
+    person: Person, small_scene: Path, damaged: Path, output_root: Path
+) -> None:
     keyboard, session = person.page.keyboard, person.session
     known = set(output_root.rglob("*"))
+
+    open_by_keyboard(person, damaged)
+    open_by_keyboard(person, small_scene)
 
     # Open the step, and the frame with the most noise.
     keyboard.press("Alt+4")
