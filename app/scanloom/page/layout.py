@@ -18,7 +18,7 @@ _LEGEND_LINE_PX = 27
 # With a smaller scene the floating panel is as wide as this.
 _LEAST_WIDTH_PX = 320
 # What viser takes of a panel for its head and its margins.
-_HEAD_PX, _LARGE_HEAD_PX, _MARGIN_PX = 100, 145, 20
+_HEAD_PX, _LARGE_HEAD_PX, _MARGIN_PX = 90, 124, 20
 # What the time panel shows beside the range profile.
 _TIME_PX = 205
 # Of the range profile as drawn, whose legend may take two lines.

@@ -50,6 +50,11 @@ def paragraph(text: str) -> str:
     )
 
 
+def caption(text: str) -> str:
+    """A line over a picture, as low as it can be: the picture gets the height."""
+    return f'<div class="scanloom-caption">{html.escape(escape_undecodable(text))}</div>'
+
+
 def text_box(text: str) -> str:
     """A read-only field to copy from; viser's own text fields are editable."""
     rows = min(2 + len(text) // 60, 8)

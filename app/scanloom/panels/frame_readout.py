@@ -14,12 +14,12 @@ _UNKNOWN: dict[FrameStatus, str] = {
 
 def frame_name(frame_index: int) -> str:
     """A frame's name for people."""
-    return f"frame {frame_index + 1}"
+    return f"frame {frame_index + 1:,}"
 
 
 def frame_text(times: FrameTimes, counts: FrameCounts | None, frame_index: int) -> str:
     """A frame's number, time and noise."""
-    whole = f"{frame_name(frame_index)} of {times.times_s.size}"
+    whole = f"{frame_name(frame_index)} of {times.times_s.size:,}"
     parts = [whole, f"{times.times_s[frame_index]:.2f} s"]
     if counts is not None:
         parts.append(_noise_text(counts, frame_index))
@@ -45,7 +45,7 @@ def progress_text(counts: FrameCounts | None) -> str:
     if counts is None:
         return ""
     if not counts.is_complete:
-        return f"counting noise: {counts.done} of {counts.total} frames"
+        return f"counting noise: {counts.done:,} of {counts.total:,} frames"
     if counts.is_sampled:
         return f"noise of every {round(counts.status.size / counts.total)}th frame"
     return ""

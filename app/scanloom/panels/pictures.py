@@ -9,7 +9,7 @@ from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind, Stroke
 from scanloom.page.live_picture import LivePicture, MarkKind, PictureMark
-from scanloom.page.markup import paragraph
+from scanloom.page.markup import caption
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_name
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, dock_depth_picture
@@ -142,8 +142,8 @@ class SimilarityPanel(Panel):
         of, chain, before = self._drawn_of
         if self._drawn is None or of is not frame or (chain, before) != (frame_view.chain, inputs):
             self._drawn_of = frame, frame_view.chain, inputs
-            self._drawn, caption = _heatmap(frame_view, match, self._size_px)
-            update_widget(self._caption, content=paragraph(caption))
+            self._drawn, field_name = _heatmap(frame_view, match, self._size_px)
+            update_widget(self._caption, content=caption(field_name))
         self._picture.show(self._drawn.rgb)
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
@@ -174,9 +174,7 @@ def _depth_caption(frame_view: FrameView) -> str:
         return ""
     name = frame_name(frame_view.view.frame_index)
     is_repaired = frame_view.fused is not None and frame_view.view.show_repaired
-    return paragraph(
-        f"{name[:1].upper()}{name[1:]}, {'repaired' if is_repaired else 'as recorded'}"
-    )
+    return caption(f"{name[:1].upper()}{name[1:]}, {'repaired' if is_repaired else 'as recorded'}")
 
 
 def _depth_picture(frame_view: FrameView, size_px: tuple[int, int]) -> DepthPicture | None:
@@ -214,13 +212,13 @@ def _heatmap(
     if view.field_scope == "recording":
         field: ScoreField = alignment.fields[metric]
         peak = alignment.peaks.get(metric)
-        prior_u, caption = alignment.peak.u, f"Mean of {alignment.frames} frames"
+        prior_u, field_name = alignment.peak.u, f"Mean of {alignment.frames} frames"
     else:
         field, peak = match.search.fields[metric], match.search.peaks.get(metric)
-        prior_u, caption = alignment.peak.u - match.u_of_rig, "This frame"
+        prior_u, field_name = alignment.peak.u - match.u_of_rig, "This frame"
         if view.field_scope == "window":
             field, count = mean_field_around(chain, view.frame_index, view.settings, _WINDOW_FRAMES)
-            caption = f"Mean of {count} frames around this one"
+            field_name = f"Mean of {count} frames around this one"
     marks = [Mark("prior", prior_u)]
     if peak is not None:
         marks += [Mark("runner_up", peak.runner_up_u, peak.runner_up_v)]
@@ -234,4 +232,4 @@ def _heatmap(
         height_px=size_px[1],
         theme=theme_of(is_dark=frame_view.is_dark),
     )
-    return drawn, f"{caption}, {metric.replace('_', ' ')}"
+    return drawn, f"{field_name}, {metric.replace('_', ' ')}"

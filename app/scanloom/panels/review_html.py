@@ -56,7 +56,7 @@ def progress_html(text: ProgressText) -> str:
         if text.done < text.total:
             words.append(f"{_minutes((text.total - text.done) / text.a_minute)} left")
     if text.counted < text.frames:
-        words.append(f"{text.counted} of {text.frames} frames counted so far")
+        words.append(f"{text.counted:,} of {text.frames:,} frames counted so far")
     return (
         '<div class="scanloom-review-progress">'
         f'<div class="scanloom-shares" aria-hidden="true"><i style="width:{percent:.1f}%;'
