@@ -59,6 +59,8 @@ class SceneViewpoint:
         self._extent: StageExtent | None = None
         # The viewpoint of the step as it was applied, and the window that it was fitted to.
         self._fitted: tuple[CameraView, SceneWindow] | None = None
+        # From where the browser's camera was last moved.
+        self._left: CameraView | None = None
 
     @property
     def window(self) -> SceneWindow:
@@ -93,6 +95,10 @@ class SceneViewpoint:
 
     def camera_moved(self) -> None:
         """Turn the shapes to a person who walks around; fit the view anew as ``fit`` does."""
+        # What a browser has told before it was moved may come after that.
+        if self._left is not None and camera_views.is_unmoved(self._camera, self._left):
+            return
+        self._left = None
         if self.fit():
             return
         with self._drawing:
@@ -136,6 +142,8 @@ class SceneViewpoint:
 
     def _look(self, view: CameraView) -> None:
         with self._drawing, self._session.batch_updates():
+            if not camera_views.is_unmoved(self._camera, view):
+                self._left = camera_views.view_of(self._camera)
             self._nodes.face(view)
             camera_views.apply(self._camera, view)
 

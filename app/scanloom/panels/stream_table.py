@@ -48,7 +48,7 @@ def _row(topic: Mapping[str, Any]) -> str:
 def _gap_row(found: StreamGaps | None) -> str:
     if found is None or not found.count:
         return ""
-    count = "1 gap:" if found.count == 1 else f"{found.count} gaps, the longest"
+    count = "1 gap:" if found.count == 1 else f"{found.count:,} gaps, the longest"
     text = f"{count} {found.longest_s:.2f} s from {found.longest_at_s:.2f} s on"
     return f"{_GAP_ROW}{text}</td></tr>"
 

@@ -1,6 +1,7 @@
 """A verdict as HTML: the sentence, a bar of the classes' shares, and their counts."""
 
 import html
+import re
 
 from fusion_core.model.classes import NoiseClass
 from scanloom.panels.swatches import class_swatch, css_color
@@ -20,11 +21,14 @@ _MEANINGS: dict[NoiseClass, str] = {
     NoiseClass.BURR: "Beams whose range lies on no surface",
     NoiseClass.CONFLICT: "Beams that see a surface where the camera sees another one",
 }
+# A line does not end between a number and its unit.
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:ms|s|min|h|mm|cm|m|px)\b)")
 
 
 def verdict_html(verdict: Verdict) -> str:
     """The verdict as a block of HTML."""
-    parts = [f"<h2>{html.escape(verdict.sentence)}</h2>"]
+    sentence = _BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", verdict.sentence)
+    parts = [f"<h2>{html.escape(sentence)}</h2>"]
     if verdict.counts is not None:
         parts.append(_bar(verdict.counts) + _counts(verdict.counts))
     if verdict.detail:

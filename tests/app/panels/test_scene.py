@@ -151,6 +151,34 @@ def test_a_screen_of_another_shape_is_fitted_unless_a_person_has_moved(bench: Be
     bench.browser.wait_for(lambda received: received.type in MOVES)
 
 
+def test_what_a_browser_tells_of_the_place_it_has_left_turns_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = bench.session._client.camera
+    bench.change(panel="Map")
+    left_m = tuple(map(float, camera.position))
+    bench.change(panel="Match")
+    arrived_m = tuple(map(float, camera.position))
+    assert arrived_m != left_m
+    faced: list[tuple[float, ...]] = []
+    monkeypatch.setattr(
+        bench.panel._nodes, "face", lambda view: faced.append(tuple(map(float, view.position_m)))
+    )
+
+    def tell(position_m: tuple[float, ...]) -> None:
+        look_at = tuple(float(value) for value in camera.look_at)
+        bench.browser.send(CAMERA | {"position": position_m, "look_at": look_at})
+        bench.browser.wait_until(lambda: tuple(map(float, camera.position)) == position_m)
+
+    tell(left_m)
+    tell(arrived_m)
+    bench.browser.wait_until(lambda: arrived_m in faced)
+    assert left_m not in faced
+    # A person who goes there is followed.
+    tell(left_m)
+    bench.browser.wait_until(lambda: left_m in faced)
+
+
 def test_a_page_that_tells_its_size_is_fitted_to_what_its_panels_leave(bench: Bench) -> None:
     session = bench.session
     bench.change(panel="Match")
