@@ -202,7 +202,7 @@ class CalibratePanel(Panel):
         command = ""
         if file is not None:
             recording = self._session.recording_path(frame_view.view.recording)
-            command = paragraph("The same from the command line") + text_box(
+            command = paragraph("On the command line") + text_box(
                 view_command(recording, file)
             )
         update_widget(self._command, content=command)

@@ -148,7 +148,7 @@ class CloudCalibration:
         output = self._saved or extrinsics_in(self._root / folder_name(recording.stem))
         command = calibrate_camera_command(recording, topic, output)
         saved = "" if self._saved is None else text_box(str(self._saved))
-        note = paragraph("The same from the command line")
+        note = paragraph("On the command line")
         update_widget(self._command, content=f"{saved}{note}{text_box(command)}")
         if found is None:
             update_widget(self._result, content="")

@@ -140,7 +140,7 @@ class MapPanel(Panel):
             )
             self._export_button = gui.add_button("Export clouds (PLY, PCD)")
             self._exported = gui.add_html("")
-        with gui.add_folder("The same from the command line"):
+        with gui.add_folder("On the command line"):
             self._command = gui.add_html("")
 
     def show(self, frame_view: FrameView) -> None:

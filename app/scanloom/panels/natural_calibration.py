@@ -39,7 +39,7 @@ class NaturalCalibration:
         self._again = gui.add_button(
             "Use this pose", color="gray", visible=False, hint="The calibration's result"
         )
-        with gui.add_folder("The same from the command line", expand_by_default=False):
+        with gui.add_folder("On the command line", expand_by_default=False):
             self._command = gui.add_html("")
         self._button.on_click(lambda _: self._begin())
         self._again.on_click(lambda _: self._use())

@@ -149,7 +149,7 @@ class SlamPanel:
         self._grids = GridLayers(gui, session, on_cell)
         stage.on_place = self._grids.tell
         self._results = SlamResults(gui, session, self._runs, output_root)
-        with gui.add_folder("The same from the command line"):
+        with gui.add_folder("On the command line"):
             self._command = gui.add_html("")
 
         self._controls = Controls(gui, session)

@@ -98,7 +98,7 @@ def test_the_dialog_the_link_and_the_command(reader: Person, hostile: Path) -> N
     depth = hostile_topic("/camera/depth/image_raw")
     chosen = {"lidar_topic": hostile_topic("/scan"), "depth_topics": (depth,)}
     reader.look_at(reader.session.view.changed(panel="Map", **chosen))
-    reader.unfold("The same from the command line")
+    reader.unfold("On the command line")
     command = reader.page.locator("textarea").locator("visible=true").first
     # As the shell takes it apart, the topics are the recording's.
     assert {f"--lidar={chosen['lidar_topic']}", f"--depth={depth}"} <= set(
