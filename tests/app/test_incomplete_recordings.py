@@ -320,9 +320,15 @@ def test_the_map_step_runs_slam_alone(page: Reader, client: ViserClient) -> None
     assert client.find("Motion and SLAM").props["visible"]
     assert not client.find("Fuse").props["visible"]
     assert plain(page.html_with("Maps of both sensors are off")).endswith(f"{NO_CAMERA}.")
-    # Without odometry the recorded motion is not there; one click takes what is.
-    run = client.find("Run")
-    assert run.props["disabled"]
+    # Without odometry the recorded motion is not there: it begins with what is.
+    run, motion = client.find("Run"), client.find("Motion")
+    assert not run.props["disabled"]
+    assert motion.value == "laser"
+    assert not client.find("Choose what this recording allows").props["visible"]
+    # What a person chooses stays, and says what it needs; one click takes what is there.
+    client.set_value("Motion", "wheel")
+    client.wait_until(lambda: run.props["disabled"])
+    page.html_with("“wheel” needs odometry, which this recording lacks")
     client.click("Choose what this recording allows")
     client.wait_until(lambda: not run.props["disabled"])
     assert page.session.view.slam.motion == "laser"

@@ -202,9 +202,7 @@ class CalibratePanel(Panel):
         command = ""
         if file is not None:
             recording = self._session.recording_path(frame_view.view.recording)
-            command = paragraph("On the command line") + text_box(
-                view_command(recording, file)
-            )
+            command = paragraph("On the command line") + text_box(view_command(recording, file))
         update_widget(self._command, content=command)
 
     def _show_pictures(self, frame_view: FrameView, shown: CalibrationView | None) -> None:

@@ -47,6 +47,7 @@ from scanloom.state.slam_choices import (
     PARTICLES_MIN,
     SCANS,
     Stream,
+    choices_for,
     streams_of,
     supported_choices,
     unsupported_reason,
@@ -179,13 +180,14 @@ class SlamPanel:
 
     def show(self, frame_view: FrameView) -> None:
         """Display the options, the runs of the recording, and the equivalent command."""
-        view = frame_view.view
-        self._controls.show(view)
+        with self._lock:
+            self._held = streams_of(frame_view.open_recording.opened)
+            view = _with_choices_for(frame_view.view, self._held)
+        self._controls.show(frame_view.view)
         update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
         for choice in (self._scan, self._motion, self._fusion):
             update_widget(choice, visible=not view.slam.is_visual)
         with self._lock:
-            self._held = streams_of(frame_view.open_recording.opened)
             self._mode = map_mode_of(view, frame_view.open_recording)
             self._why_not = unsupported_reason(view.slam, self._held)
             can_choose = unsupported_reason(supported_choices(view.slam, self._held), self._held)
@@ -227,10 +229,14 @@ class SlamPanel:
 
     def _bind(self, handle: object, name: str) -> None:
         def change(value: object) -> None:
-            chosen = self._session.view.slam.model_dump() | {name: value}
-            self._session.change(slam=chosen)
+            with self._lock:
+                before = choices_for(self._session.view.slam, self._held)
+            self._session.change(slam=before.model_dump() | {name: value})
 
-        self._controls.bind(handle, lambda view: getattr(view.slam, name), change)
+        def value_of(view: View) -> object:
+            return getattr(choices_for(view.slam, self._held), name)
+
+        self._controls.bind(handle, value_of, change)
 
     def _choose_supported(self) -> None:
         with self._lock:
@@ -239,8 +245,8 @@ class SlamPanel:
 
     def _begin(self) -> None:
         """Start a run unless one is running, it is not possible, or the session is closed."""
-        view = self._session.view
         with self._lock:
+            view = _with_choices_for(self._session.view, self._held)
             if self._job.is_running or self._job.is_closed or self._why_not is not None:
                 return
             if not self._make_folder():
@@ -387,6 +393,10 @@ def _no_folder(error: OSError) -> ExportError:
         file=tempfile.gettempdir(),
         advice="Free space there.",
     )
+
+
+def _with_choices_for(view: View, held: frozenset[Stream]) -> View:
+    return view.changed(slam=choices_for(view.slam, held).model_dump())
 
 
 def slam_inputs(view: View) -> tuple[object, ...]:

@@ -13,6 +13,7 @@ from scanloom.scene.frame_summary import counts_of_beams
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
 from scanloom.state.possible_steps import map_mode_of, why_not
 from scanloom.state.review_overlay import ReviewOverlay
+from scanloom.state.slam_choices import choices_for, streams_of
 
 # Samples: nearer than this, the peak with and without the recording's offset are the same.
 _SAME_U = 2.0
@@ -194,7 +195,8 @@ def counted(number: int, what: str) -> str:
 
 def _map(frame_view: FrameView) -> Verdict:
     is_slam = map_mode_of(frame_view.view, frame_view.open_recording) == "SLAM"
-    if is_slam and frame_view.view.slam.is_visual:
+    held = streams_of(frame_view.open_recording.opened)
+    if is_slam and choices_for(frame_view.view.slam, held).is_visual:
         return Verdict(
             sentence="Build a map in space by visual SLAM",
             detail="Of the whole recording: the pose of every image, and what they show.",

@@ -120,20 +120,32 @@ def supported_choices(choices: SlamChoices, held: frozenset[Stream]) -> SlamChoi
     """The choices, with the first possible scan and motion instead of an impossible one; visual
     SLAM where there are colour and depth images and no LiDAR, and not where it is impossible.
 
-    Without any scan they stay as they are.
+    Without any scan, that stays as it is.
     """
+    estimator, fusion = choices.estimator, choices.fusion
     if "lidar" not in held and _is_met(_ESTIMATOR_NEEDS["visual"], held):
-        return choices.model_copy(update={"estimator": "visual"})
-    if not _is_met(_ESTIMATOR_NEEDS[choices.estimator], held):
-        choices = choices.model_copy(update={"estimator": "pose-graph"})
-    if not _is_met(_FUSION_NEEDS[choices.fusion], held):
-        choices = choices.model_copy(update={"fusion": "none"})
+        estimator = "visual"
+    elif not _is_met(_ESTIMATOR_NEEDS[estimator], held):
+        estimator = "pose-graph"
+    if not _is_met(_FUSION_NEEDS[fusion], held):
+        fusion = "none"
     scan, motion = choices.scan, choices.motion
     if not _is_met(_SCAN_NEEDS[scan], held):
         scan = next((name for name in SCANS if _is_met(_SCAN_NEEDS[name], held)), scan)
     if not _is_met(_MOTION_NEEDS[motion], held):
         motion = next(name for name in MOTIONS if _is_met(_MOTION_NEEDS[name], held))
-    return choices.model_copy(update={"scan": scan, "motion": motion})
+    return choices.model_copy(
+        update={"scan": scan, "motion": motion, "estimator": estimator, "fusion": fusion}
+    )
+
+
+def choices_for(choices: SlamChoices, held: frozenset[Stream]) -> SlamChoices:
+    """The choices; if nobody has made any and the first ones are impossible with these streams,
+    those that are possible."""
+    is_first = choices == SlamChoices()
+    if not is_first or unsupported_reason(choices, held) is None:
+        return choices
+    return supported_choices(choices, held)
 
 
 def _missing_streams_reason(

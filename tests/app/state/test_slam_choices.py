@@ -1,5 +1,6 @@
 """What a recording can do of SLAM, and why not the rest."""
 
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from scanloom.state.slam_choices import (
     SCANS,
     SlamChoices,
     Stream,
+    choices_for,
     streams_of,
     supported_choices,
     unsupported_reason,
@@ -102,3 +104,18 @@ def test_what_is_chosen_for_a_recording_is_possible(held: set[Stream], estimator
     # Of what is impossible, too.
     visual = wanted.model_copy(update={"estimator": "visual"})
     assert unsupported_reason(supported_choices(visual, frozenset(held)), frozenset(held)) is None
+
+
+@pytest.mark.parametrize(
+    "held", [frozenset(some) for count in range(6) for some in combinations(sorted(ALL), count)]
+)
+def test_the_first_choices_are_possible_and_those_of_a_person_stay(held: frozenset[Stream]) -> None:
+    first = choices_for(SlamChoices(), held)
+    assert unsupported_reason(first, held) is None or not held & {"lidar", "depth"}
+    if "lidar" in held and held & {"odometry", "tf"}:
+        assert first == SlamChoices()
+    elif unsupported_reason(first, held) is None:
+        # A person may change one choice at a time, to each that is possible or not.
+        for estimator in ESTIMATORS:
+            own = first.model_copy(update={"estimator": estimator})
+            assert choices_for(own, held) == own
