@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.feature_matching import match_descriptors
@@ -95,13 +96,19 @@ def estimate_color_zoom(
     settings: ColorZoomSettings,
     features: FeatureSettings,
     noise: ObservationNoise,
+    progress: Progress = silent,
+    *,
+    image_count: int | None = None,
 ) -> ColorZoom | None:
-    """By the first of the frames; None where they tell nothing: no motion, texture or depth."""
+    """By the first of the frames, of ``image_count`` if that is known; None where they tell
+    nothing: no motion, texture or depth."""
+    compared = None if image_count is None else min(image_count, settings.images_max)
     extractor, sampler = FeatureExtractor(intrinsics, features), SurfaceSampler(intrinsics)
     camera = camera_parameters(intrinsics)
     pairs: list[_Pair] = []
     before: tuple[FrameFeatures, DepthSurface] | None = None
-    for frame in islice(frames, 0, settings.images_max, _STEP_IMAGES):
+    for number, frame in enumerate(islice(frames, 0, settings.images_max, _STEP_IMAGES)):
+        progress(number * _STEP_IMAGES, compared, "comparing colour with depth")
         now = extractor.extract(frame), sampler.surface(sampler.reduce(frame.depth_m))
         if before is not None:
             pair = _pair(*before, *now, camera, noise)

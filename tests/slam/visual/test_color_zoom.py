@@ -46,6 +46,25 @@ def test_images_without_depth_tell_nothing():
     assert estimate(blind) is None
 
 
+def test_it_says_how_far_it_is():
+    said = []
+
+    def progress(done, total, _):
+        said.append((done, total))
+
+    settings = ColorZoomSettings(images_max=20)
+    estimate_color_zoom(
+        FRAMES,
+        INTRINSICS,
+        settings,
+        FeatureSettings(),
+        ObservationNoise(),
+        progress,
+        image_count=30,
+    )
+    assert said == [(0, 20), (6, 20), (12, 20), (18, 20)]
+
+
 def test_what_is_certain_and_small_is_no_zoom():
     assert not ColorZoom(zoom=1.015, sigma=0.001, pairs=9).is_significant
     assert not ColorZoom(zoom=1.1, sigma=0.03, pairs=9).is_significant

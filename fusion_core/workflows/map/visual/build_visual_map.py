@@ -72,8 +72,7 @@ def map_visually(
 
     # Colour that shows what depth does.
     start_s = time.perf_counter()
-    progress(0, None, "comparing colour with depth")
-    frames = register_colors(recorded, recorded.intrinsics, settings)
+    frames = register_colors(recorded, recorded.intrinsics, settings, progress)
     registration_s = time.perf_counter() - start_s
 
     # The path of the camera, with its keyframes and landmarks.

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
+from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.color_zoom import ColorZoom, estimate_color_zoom
@@ -40,11 +41,20 @@ class RegisteredFrames:
 
 
 def register_colors(
-    frames: RgbdFrames, intrinsics: CameraIntrinsics, settings: VisualSlamSettings
+    frames: RgbdFrames,
+    intrinsics: CameraIntrinsics,
+    settings: VisualSlamSettings,
+    progress: Progress = silent,
 ) -> RegisteredFrames:
     """The frames as they are, unless colour and depth are certain to show different parts."""
     found = estimate_color_zoom(
-        frames, intrinsics, settings.color_zoom, settings.features, settings.observation_noise
+        frames,
+        intrinsics,
+        settings.color_zoom,
+        settings.features,
+        settings.observation_noise,
+        progress,
+        image_count=frames.image_count,
     )
     if found is None or not found.is_significant:
         return RegisteredFrames(frames=frames, intrinsics=intrinsics)
