@@ -35,6 +35,9 @@ from scanloom.state.view import View, view_of_link
 _DRAWN_WITHIN_S = 3.0
 # The end of the server waits no longer for a session that is being opened or closed.
 _END_TIMEOUT_S = 15.0
+# Of the scene, as a share of a surface's own brightness times pi; set by eye, so that a box's sides
+# are told apart and none is black.
+_AMBIENT_LIGHT = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +125,8 @@ class Workbench:
         # viser's photograph of a city it hides the scene behind 5 % opacity.
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
+        # Without that photograph, what the lights do not reach would be black.
+        scene.add_light_ambient("/ambient_light", intensity=_AMBIENT_LIGHT)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
 
