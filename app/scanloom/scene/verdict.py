@@ -231,7 +231,7 @@ def _calibrate(frame_view: FrameView) -> Verdict:
         )
     where = f"of the LiDAR's points in {counted(now.frames, 'image')} lie on what the camera sees"
     detail = (
-        f"Of {now.on_depth} points where the image has depth; half of them differ by less than "
+        f"Of {now.on_depth:,} points where the image has depth; half of them differ by less than "
         f"{100.0 * now.median_m:.1f} cm."
     )
     before = None if shown.before is None else shown.before.agreement
