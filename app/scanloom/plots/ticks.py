@@ -2,6 +2,8 @@
 
 import numpy as np
 
+_TIME_UNITS = ((3600.0, "h"), (60.0, "min"))
+
 
 def ticks_between(low: float, high: float, max_count: int) -> list[float]:
     """At most ``max_count`` values from ``low`` to ``high`` at steps of 1, 2 or 5 times 10^k."""
@@ -20,6 +22,19 @@ def ticks_between(low: float, high: float, max_count: int) -> list[float]:
 def whole_ticks_between(low: float, high: float, max_count: int) -> list[float]:
     """Those of ``ticks_between`` that are whole."""
     return [value for value in ticks_between(low, high, max_count) if value == round(value)]
+
+
+def time_ticks(first_s: float, last_s: float, max_count: int) -> list[tuple[float, str]]:
+    """At most ``max_count`` times in seconds with their labels: seconds, or minutes or hours where
+    there are at least five of them."""
+    unit_s, unit = next(
+        ((size_s, name) for size_s, name in _TIME_UNITS if last_s - first_s >= 5.0 * size_s),
+        (1.0, "s"),
+    )
+    return [
+        (value * unit_s, f"{number_label(value)} {unit}")
+        for value in ticks_between(first_s / unit_s, last_s / unit_s, max_count)
+    ]
 
 
 def number_label(value: float) -> str:

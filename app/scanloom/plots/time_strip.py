@@ -12,7 +12,7 @@ from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.palette import Color, class_color
 from scanloom.plots.text import Align, draw_text, text_width
 from scanloom.plots.theme import LIGHT, Theme
-from scanloom.plots.ticks import number_label, ticks_between
+from scanloom.plots.ticks import time_ticks
 from scanloom.state.frame_survey import FrameCounts, FrameStatus
 
 _LEFT_PX, _RIGHT_PX = 42, 10
@@ -185,10 +185,9 @@ def _draw_axes(
     rgb: ByteArray, box: Box, times: FrameTimes, scale: float | None, theme: Theme
 ) -> None:
     first_s, last_s = times.limits_s
-    for value in ticks_between(first_s, last_s, max(2, box.width // _TICK_ROOM_PX)):
-        x = round(float(_to_px(box, times, value)))
+    for value_s, label in time_ticks(first_s, last_s, max(2, box.width // _TICK_ROOM_PX)):
+        x = round(float(_to_px(box, times, value_s)))
         cv2.line(rgb, (x, box.bottom + 1), (x, box.bottom + _TICK_PX), theme.grey)
-        label = f"{number_label(value)} s"
         half = 0.5 * text_width(label, size_px=_SIZE_PX)
         middle = min(max(x, half + 1.0), rgb.shape[1] - half - 1.0)
         _write(rgb, label, (middle, box.bottom + 10), theme, align="middle")

@@ -17,6 +17,7 @@ from scanloom.plots.ticks import (
     distinct_limits,
     number_label,
     ticks_between,
+    time_ticks,
     whole_ticks_between,
 )
 
@@ -172,3 +173,22 @@ def test_a_legend_keeps_every_entry_in_order(labels: list[str], width_px: int) -
 def test_a_picture_without_room_is_refused() -> None:
     with pytest.raises(ValueError, match="leaves"):
         box_between(50, 50, 60, 300)
+
+
+@pytest.mark.parametrize(
+    ("last_s", "labels"),
+    [
+        (9.9, ["0 s", "5 s"]),
+        (299.0, ["0 s", "100 s", "200 s"]),
+        (300.0, ["0 min", "2 min", "4 min"]),
+        (2691.0, ["0 min", "20 min", "40 min"]),
+        (6.0 * 3600.0, ["0 h", "5 h"]),
+    ],
+)
+def test_long_times_have_long_units(last_s: float, labels: list[str]) -> None:
+    ticks = time_ticks(0.0, last_s, 3)
+    assert [label for _, label in ticks] == labels
+    seconds_of = {"s": 1.0, "min": 60.0, "h": 3600.0}
+    for value_s, label in ticks:
+        number, unit = label.split()
+        assert value_s == float(number) * seconds_of[unit]
