@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 _WIDTH_PX = 430
 _ABOUT = (
     "The turn of the LiDAR becomes one dense cloud, and its intensities an image, in which "
-    "features of the camera's image are found again (Song 2022). It takes a minute or more; a bar tells how far it is."
+    "features of the camera's image are found again (Song 2022). It takes a minute or more; a bar "
+    "tells how far it is."
 )
 # Reasons of the matching, in words.
 _REASONS = {
