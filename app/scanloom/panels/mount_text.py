@@ -33,6 +33,18 @@ _UNKNOWN = {
 }
 
 
+def unknown_text(mount: Mount) -> str:
+    """A sentence that names what of the camera's pose is not observable, empty if all is."""
+    unknown = [
+        _UNKNOWN[name]
+        for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True)
+        if sd is None and name != "clock_offset_ms"
+    ]
+    if not unknown:
+        return ""
+    return f"This recording does not tell {', '.join(unknown)}: assumed here, not found."
+
+
 def given_text(pose: HandPose, source: str, notes: Sequence[str] = ()) -> str:
     """A pose that a person gives, and the notes on it, as Markdown. ``source``: where from."""
     lines = [

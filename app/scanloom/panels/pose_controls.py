@@ -7,7 +7,9 @@ import viser
 
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
+from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
+from scanloom.panels.mount_text import unknown_text
 from scanloom.panels.widgets.controls import Controls
 from scanloom.state.hand_pose import MAX_DISTANCE_M, MAX_PITCH_DEG, HandPose
 from scanloom.state.view import View
@@ -58,6 +60,7 @@ class PoseControls:
         self._pose: HandPose | None = session.view.hand_pose
         self._controls = Controls(gui, session)
         self._numbers = {name: self._add(gui, name) for name in _NUMBERS}
+        self._unknown = gui.add_html("")
         self._step = gui.add_dropdown(
             "Step",
             tuple(_STEPS),
@@ -72,6 +75,8 @@ class PoseControls:
         if frame_view.calibration is not None:
             self._pose = frame_view.calibration.now.pose
         self._controls.show(frame_view.view)
+        text = _unknown_text(frame_view)
+        update_widget(self._unknown, content=paragraph(text) if text else "")
 
     def _add(self, gui: viser.GuiApi, name: str) -> viser.GuiInputHandle[float]:
         about = _NUMBERS[name]
@@ -101,3 +106,11 @@ class PoseControls:
         degrees, metres = _STEPS[self._step.value]
         for name, handle in self._numbers.items():
             update_widget(handle, step=degrees if name.endswith("_deg") else metres)
+
+
+def _unknown_text(frame_view: FrameView) -> str:
+    """Which of the numbers are assumed. A pose that was given says nothing of that."""
+    chain = frame_view.chain
+    if chain is None or frame_view.calibration is None or chain.session.rig.given is not None:
+        return ""
+    return unknown_text(chain.alignment.mount)

@@ -4,7 +4,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,10 @@ from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, given_extrinsics
 from scanloom.jobs.calibration import CalibrationRequest, FinishedCalibration
 from scanloom.page.bridge import PageBridge
+from scanloom.panels import pose_controls
 from scanloom.panels.calibrate import CalibratePanel
 from scanloom.panels.camera_gizmo import _NAME, CameraGizmo
+from scanloom.panels.mount_text import unknown_text
 from scanloom.plots.theme import DARK, LIGHT
 from scanloom.resources import sample_path
 from scanloom.state.calibration_view import CalibrationView, pose_of
@@ -141,6 +143,28 @@ def test_the_numbers_are_the_alignments_pose(bench: Bench) -> None:
         )
     assert bench.shown.before is None
     assert bench.shown.now.agreement.fraction > 0.5
+
+
+def test_numbers_that_the_recording_does_not_tell_are_said_to_be_assumed(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chain = bench.frame_view.chain
+    assert chain is not None
+    mount = chain.alignment.mount
+    assert None not in mount.sd
+    assert not unknown_text(mount)
+    flat = replace(mount, sd=(0.1, None, 0.1, 0.1, None, None))
+    said = unknown_text(flat)
+    assert said == (
+        "This recording does not tell how far above the LiDAR it sits (Δz), how far it looks down: "
+        "assumed here, not found."
+    )
+    monkeypatch.setattr(pose_controls, "unknown_text", lambda _: said)
+    bench.change(frame_index=FRAME + 1)
+    bench.html("assumed here, not found")
+    # A pose by hand is nobody's guess.
+    bench.change(extrinsics=pose_of(chain))
+    bench.browser.wait_until(lambda: not bench._htmls(("assumed here, not found",)))
 
 
 def test_a_number_moves_the_camera_for_every_step_and_undo_moves_it_back(bench: Bench) -> None:
