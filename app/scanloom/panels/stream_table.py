@@ -27,7 +27,7 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
         "<div style='padding:0 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"<div>{html.escape(described['format'])}{time}</div>"
         + _paragraphs(warnings)
-        + f"<table style='width:100%;font-size:0.95em'><tr>{head}</tr>{rows}</table>"
+        + f"<table class='scanloom-streams'><tr>{head}</tr>{rows}</table>"
         + _paragraphs(lines)
         + "</div>"
     )
