@@ -7,8 +7,8 @@ from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.keyframes import NO_LANDMARK, LoopClosure
+from fusion_core.slam.visual.pinhole import camera_parameters, project
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
-from fusion_core.slam.visual.relative_pose_refinement import project
 from fusion_core.slam.visual.visual_map import VisualMap
 
 # About a landmark's predicted place: what a closed loop is off by.
@@ -106,7 +106,7 @@ def _fuse_into(
     features = keyframe.features
     anywhere = np.zeros(len(landmarks), np.int64)
     found = FeatureGrid(features).match(
-        project(points, intrinsics),
+        project(points, camera_parameters(intrinsics)),
         np.full(len(landmarks), _RADIUS_PX),
         anywhere,
         anywhere + _LEVELS_MAX,

@@ -16,7 +16,7 @@ from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.landmark_fusion import move_landmarks
 from fusion_core.slam.visual.loop_closing import LoopCloser, VisualLoopSettings
 from fusion_core.slam.visual.observation_noise import ObservationNoise
-from fusion_core.slam.visual.relative_pose_refinement import project
+from fusion_core.slam.visual.pinhole import camera_parameters, project
 from tests.slam.visual.feature_world import (
     INTRINSICS,
     DriftingTracker,
@@ -160,7 +160,7 @@ def test_a_closed_loop_moves_the_landmarks_too():
             invert_transform(keyframe.T_map_camera),
             tracker.map.positions_in_map_m[keyframe.landmarks[seen]],
         )
-        away = project(points, INTRINSICS) - keyframe.features.pixels[seen]
+        away = project(points, camera_parameters(INTRINSICS)) - keyframe.features.pixels[seen]
         off_px.append(float(np.nanmedian(np.linalg.norm(away, axis=1))))
     # The imitated tracker itself is off by some pixels: its steps are, and it adjusts nothing.
     assert max(off_px) < 12.0
