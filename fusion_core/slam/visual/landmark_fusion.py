@@ -43,7 +43,7 @@ def fuse_matches(visual_map: VisualMap, loop: LoopClosure) -> int:
     """Let the matched features of a loop see one landmark, the first keyframe's; how many do."""
     first, second = visual_map.keyframes[loop.first], visual_map.keyframes[loop.second]
     fused = 0
-    for a, b in loop.matches.tolist():
+    for a, b in loop.pose.matches.tolist():
         kept, other = int(first.landmarks[a]), int(second.landmarks[b])
         if kept != NO_LANDMARK and other != NO_LANDMARK:
             visual_map.merge_landmarks(kept, other)
@@ -72,7 +72,7 @@ def fuse_neighbours(
     """
     T_after_before = (
         visual_map.pose_of(loop.first)
-        @ loop.T_first_second
+        @ loop.pose.T_first_second
         @ invert_transform(T_map_camera_before[loop.second])
     )
     around_first = _neighbourhood(visual_map, loop.first, neighbours_max)
