@@ -106,9 +106,9 @@ def essential_edges(
                     first=first,
                     second=second,
                     T_first_second=T_kept_first
-                    @ loop.T_first_second
+                    @ loop.pose.T_first_second
                     @ invert_transform(T_kept_second),
-                    covariance=loop.covariance.copy(),
+                    covariance=loop.pose.covariance.copy(),
                     is_loop=True,
                 )
             )

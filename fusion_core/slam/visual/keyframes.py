@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray, read_only
 from fusion_core.slam.visual.frame_features import FrameFeatures
+from fusion_core.slam.visual.relative_pose import RelativePose
 
 NO_LANDMARK = -1
 """Of a feature that sees no landmark."""
@@ -35,22 +36,11 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopClosure:
-    """Two keyframes that see the same place.
-
-    ``T_first_second``: (4, 4) of their optical frames. ``covariance``: (6, 6) of a small motion of
-    the second in its own frame, rotation first (gtsam's Pose3). ``matches``: (M, 2) the features of
-    both that agree with it.
-    """
+    """Two keyframes that see the same place. ``pose``: of the second in the first."""
 
     first: int
     second: int
-    T_first_second: FloatArray
-    covariance: FloatArray
-    matches: IntArray
-
-    def __post_init__(self) -> None:
-        for array in (self.T_first_second, self.covariance, self.matches):
-            read_only(array)
+    pose: RelativePose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,8 +7,8 @@ from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.slam.visual.keyframes import NO_LANDMARK, LoopClosure
+from fusion_core.slam.visual.pinhole import camera_parameters, project
 from fusion_core.slam.visual.projection_matching import DISTANCE_LOW, FeatureGrid
-from fusion_core.slam.visual.relative_pose_refinement import project
 from fusion_core.slam.visual.visual_map import VisualMap
 
 # About a landmark's predicted place: what a closed loop is off by.
@@ -43,7 +43,7 @@ def fuse_matches(visual_map: VisualMap, loop: LoopClosure) -> int:
     """Let the matched features of a loop see one landmark, the first keyframe's; how many do."""
     first, second = visual_map.keyframes[loop.first], visual_map.keyframes[loop.second]
     fused = 0
-    for a, b in loop.matches.tolist():
+    for a, b in loop.pose.matches.tolist():
         kept, other = int(first.landmarks[a]), int(second.landmarks[b])
         if kept != NO_LANDMARK and other != NO_LANDMARK:
             visual_map.merge_landmarks(kept, other)
@@ -72,7 +72,7 @@ def fuse_neighbours(
     """
     T_after_before = (
         visual_map.pose_of(loop.first)
-        @ loop.T_first_second
+        @ loop.pose.T_first_second
         @ invert_transform(T_map_camera_before[loop.second])
     )
     around_first = _neighbourhood(visual_map, loop.first, neighbours_max)
@@ -106,7 +106,7 @@ def _fuse_into(
     features = keyframe.features
     anywhere = np.zeros(len(landmarks), np.int64)
     found = FeatureGrid(features).match(
-        project(points, intrinsics),
+        project(points, camera_parameters(intrinsics)),
         np.full(len(landmarks), _RADIUS_PX),
         anywhere,
         anywhere + _LEVELS_MAX,

@@ -199,13 +199,7 @@ class LoopCloser:
     def _close(self, first: int, second: int, found: RelativePose) -> ClosedLoop | None:
         visual_map = self._map
         T_before = _poses(visual_map)
-        loop = LoopClosure(
-            first=first,
-            second=second,
-            T_first_second=found.T_first_second,
-            covariance=found.covariance,
-            matches=found.matches,
-        )
+        loop = LoopClosure(first=first, second=second, pose=found)
         _join_parts(visual_map, self._pairs(), loop)
         if not self._bend_map(loop):
             _place(visual_map, T_before)
@@ -235,8 +229,8 @@ class LoopCloser:
         edge = PoseEdge(
             first=loop.first,
             second=loop.second,
-            T_first_second=loop.T_first_second,
-            covariance=loop.covariance.copy(),
+            T_first_second=loop.pose.T_first_second,
+            covariance=loop.pose.covariance.copy(),
             is_loop=True,
         )
         placed = _poses(self._map)
@@ -291,7 +285,7 @@ def _join_parts(visual_map: VisualMap, pairs: list[tuple[int, int]], loop: LoopC
     if part[loop.first] == part[loop.second]:
         return
     T_map_first, T_map_second = visual_map.pose_of(loop.first), visual_map.pose_of(loop.second)
-    T_after_before = T_map_first @ loop.T_first_second @ invert_transform(T_map_second)
+    T_after_before = T_map_first @ loop.pose.T_first_second @ invert_transform(T_map_second)
     moved = part[loop.second]
     for keyframe in visual_map.kept_keyframes:
         if part[keyframe.index] == moved:

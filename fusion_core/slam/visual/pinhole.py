@@ -25,12 +25,10 @@ def unproject(pixels: FloatArray, depths_m: FloatArray, camera: FloatArray) -> F
     )
 
 
-def project(
-    points_in_camera_m: FloatArray, camera: FloatArray, depth_min_m: float = _DEPTH_MIN_M
-) -> FloatArray:
+def project(points_in_camera_m: FloatArray, camera: FloatArray) -> FloatArray:
     """(N, 2) pixels of (N, 3) points; NaN of what lies behind the camera or at it."""
     z = points_in_camera_m[:, 2]
-    z = np.where(z > depth_min_m, z, np.nan)
+    z = np.where(z > _DEPTH_MIN_M, z, np.nan)
     return np.column_stack(
         [
             camera[0] * points_in_camera_m[:, 0] / z + camera[2],

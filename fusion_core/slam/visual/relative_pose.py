@@ -18,11 +18,10 @@ from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.visual.features import SCALE_FACTOR
 from fusion_core.slam.visual.frame_features import FrameFeatures
 from fusion_core.slam.visual.observation_noise import ObservationNoise
-from fusion_core.slam.visual.pinhole import camera_parameters, unproject
+from fusion_core.slam.visual.pinhole import camera_parameters, project, unproject
 from fusion_core.slam.visual.projection_matching import FeatureGrid, predict_octaves
 from fusion_core.slam.visual.relative_pose_refinement import (
     MeasuredFeatures,
-    project,
     refine_relative_pose,
 )
 
@@ -232,7 +231,7 @@ def _search(
 ) -> IntArray:
     """(M, 2) features of the source and the target's features near their predicted places."""
     points = transform_points(T_target_source, points_in_camera_m(source, intrinsics))
-    pixels = project(points, intrinsics)
+    pixels = project(points, camera_parameters(intrinsics))
     # What comes nearer is found on a coarser level.
     levels = int(max(source.octaves.max(), target.octaves.max())) + 1
     octaves = predict_octaves(
@@ -263,7 +262,7 @@ def _seen_in_both(
         (second, T_first_second),
     ):
         points = transform_points(T_target_source, points_in_camera_m(source, intrinsics))
-        pixels = project(points, intrinsics)
+        pixels = project(points, camera_parameters(intrinsics))
         # NaN compares false.
         inside = (pixels >= 0.0) & (pixels <= [intrinsics.width - 1.0, intrinsics.height - 1.0])
         counts.append(int(np.count_nonzero(inside.all(axis=1))))

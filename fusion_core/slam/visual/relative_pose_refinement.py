@@ -12,7 +12,6 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
-from fusion_core.slam.visual import pinhole
 from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
 from fusion_core.slam.visual.pinhole import camera_parameters, unproject
 
@@ -111,11 +110,6 @@ def small_motion(twist: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     return make_transform(Rotation.from_rotvec(twist[:3]).as_matrix(), twist[3:])
-
-
-def project(points_m: FloatArray, intrinsics: CameraIntrinsics) -> FloatArray:
-    """(N, 2) pixels of (N, 3) points in the optical frame, NaN of those behind the camera."""
-    return pinhole.project(points_m, camera_parameters(intrinsics), _DEPTH_MIN_M)
 
 
 def _limits(degrees: FloatArray) -> FloatArray:

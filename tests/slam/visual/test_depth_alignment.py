@@ -40,9 +40,9 @@ def depth_of(planes, T_camera_world, seed=0, sigma=0.002):
     return depth_m.astype(np.float32)
 
 
-def surface_of(planes, T_camera_world, seed=0):
+def surface_of(planes, T_camera_world, seed=0, sigma=0.002):
     sampler = SurfaceSampler(CAMERA)
-    return sampler.surface(sampler.reduce(depth_of(planes, T_camera_world, seed)))
+    return sampler.surface(sampler.reduce(depth_of(planes, T_camera_world, seed, sigma)))
 
 
 def small_motion(T):
@@ -123,6 +123,38 @@ def test_what_a_corridor_hides_is_not_claimed(seed):
     assert found is not None
     off = found[0][2, 3] + 0.3
     assert off**2 / np.linalg.inv(found[1])[5, 5] < 9.0
+
+
+CORNER = (((0.3, 0.0, 1.0), 1.6), ((-0.5, 0.0, 1.0), 1.8), ((0.0, 1.0, 0.3), 0.9))
+
+
+@pytest.mark.parametrize(("planes", "ahead_m"), [(CORRIDOR, 0.3), (CORNER, -1.5)])
+def test_the_information_is_that_of_the_error(planes, ahead_m):
+    """Squared errors, normalised, have the mean of their six degrees of freedom: where noise of the
+    normals says more than the surfaces do, and where many blocks fall into one of the other."""
+    T = exp_se3(np.array([0.0, 0.02, 0.0, 0.05, 0.0, -ahead_m]))
+    chi2 = []
+    for seed in range(16):
+        # The mean of four pixels errs by half as much as one.
+        first, second = (
+            surface_of(planes, pose, 2 * seed + k, sigma=2.0 * SIGMA)
+            for k, pose in enumerate((np.eye(4), T))
+        )
+        found = align_depths(first, second, T, SIGMA, 0.2)
+        assert found is not None
+        off = small_motion(found[0] @ invert_transform(T))
+        chi2.append(off @ found[1] @ off)
+    # Four standard deviations of that mean, and 0.2 for the edges between surfaces.
+    assert np.mean(chi2) / 6.0 == pytest.approx(1.0, abs=4.0 * np.sqrt(12.0 / 16.0) / 6.0 + 0.2)
+
+
+def test_images_are_not_slid_until_they_agree():
+    """The walls of a corridor fit wherever along it the other camera stood."""
+    T = exp_se3(np.array([0.0, 0.1, 0.0, 0.0, 0.0, 3.0]))
+    first, second = (
+        surface_of(CORRIDOR, pose, seed, sigma=0.005) for seed, pose in ((2, np.eye(4)), (3, T))
+    )
+    assert align_depths(first, second, T, SIGMA, 0.25) is None
 
 
 def test_images_that_share_too_little_are_not_aligned():

@@ -16,7 +16,7 @@ from fusion_core.slam.visual.keyframes import NO_LANDMARK
 from fusion_core.slam.visual.landmark_fusion import move_landmarks
 from fusion_core.slam.visual.loop_closing import LoopCloser, VisualLoopSettings
 from fusion_core.slam.visual.observation_noise import ObservationNoise
-from fusion_core.slam.visual.relative_pose_refinement import project
+from fusion_core.slam.visual.pinhole import camera_parameters, project
 from tests.slam.visual.feature_world import (
     INTRINSICS,
     DriftingTracker,
@@ -75,7 +75,7 @@ def test_a_round_trip_is_closed_and_its_error_falls_to_a_third(round_trip_closed
     # The ends of the loop now see the same landmarks.
     first, second = loops[0].loop.first, loops[0].loop.second
     shared = dict(zip(*(row.tolist() for row in tracker.map.covisible(first)), strict=True))
-    assert shared[second] >= 0.9 * len(loops[0].loop.matches)
+    assert shared[second] >= 0.9 * len(loops[0].loop.pose.matches)
     # What it says to have done to the newest keyframe, it did.
     before = without.map.keyframes[second].T_map_camera
     np.testing.assert_allclose(loops[0].T_after_before @ before, placed[0], atol=1e-9)
@@ -145,7 +145,7 @@ def test_the_same_input_gives_the_same_bytes(round_trip_closed):
     poses = [np.array([m.pose_of(i) for i in range(len(m.keyframes))]) for m in results]
     assert poses[0].tobytes() == poses[1].tobytes()
     assert results[0].positions_in_map_m.tobytes() == results[1].positions_in_map_m.tobytes()
-    assert results[0].loops[0].matches.tobytes() == results[1].loops[0].matches.tobytes()
+    assert results[0].loops[0].pose.matches.tobytes() == results[1].loops[0].pose.matches.tobytes()
 
 
 def test_a_closed_loop_moves_the_landmarks_too():
@@ -160,7 +160,7 @@ def test_a_closed_loop_moves_the_landmarks_too():
             invert_transform(keyframe.T_map_camera),
             tracker.map.positions_in_map_m[keyframe.landmarks[seen]],
         )
-        away = project(points, INTRINSICS) - keyframe.features.pixels[seen]
+        away = project(points, camera_parameters(INTRINSICS)) - keyframe.features.pixels[seen]
         off_px.append(float(np.nanmedian(np.linalg.norm(away, axis=1))))
     # The imitated tracker itself is off by some pixels: its steps are, and it adjusts nothing.
     assert max(off_px) < 12.0

@@ -72,7 +72,7 @@ def build_visual_report(
             {
                 "first_s": _seconds(visual_map.keyframes[loop.first].stamp_ns),
                 "second_s": _seconds(visual_map.keyframes[loop.second].stamp_ns),
-                "inliers": len(loop.matches),
+                "inliers": len(loop.pose.matches),
             }
             for loop in visual_map.loops
         ],

@@ -69,6 +69,6 @@ def write_visual_map(file: Path, visual_map: VisualMap, T_map_first: FloatArray)
         "loops": np.array(
             [(place[loop.first], place[loop.second]) for loop in loops], np.int64
         ).reshape(-1, 2),
-        "loop_inliers": np.array([len(loop.matches) for loop in loops], np.int64),
+        "loop_inliers": np.array([len(loop.pose.matches) for loop in loops], np.int64),
     }
     write_arrays(file, arrays)
