@@ -27,18 +27,20 @@ Wall = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class CameraRun:
-    """``T_world_camera``: (N, 4, 4) of the images of a camera among painted walls."""
+    """``T_world_camera``: (N, 4, 4) of the images of a camera among painted walls. ``noise``: of
+    its depth, in noises of a Kinect."""
 
     caster: RoomCaster
     T_world_camera: FloatArray
     seed: int
+    noise: float = 1.0
 
     def frames(self, first: int = 0, end: int | None = None) -> Iterator[RgbdFrame]:
         """The images from ``first`` to before ``end``, as a Kinect would see them."""
         for index in range(first, len(self.T_world_camera) if end is None else end):
             rng = np.random.default_rng((self.seed, index))
             stamp_ns = index * NS_PER_S // RATE_HZ
-            yield render(self.caster, self.T_world_camera[index], rng, stamp_ns)
+            yield render(self.caster, self.T_world_camera[index], rng, stamp_ns, self.noise)
 
     def moved(self, right_m: float, right_rad: float) -> "CameraRun":
         """The same way with the camera to its right and turned to the right."""
@@ -49,9 +51,13 @@ class CameraRun:
 
 
 def render(
-    caster: RoomCaster, T_world_camera: FloatArray, rng: np.random.Generator, stamp_ns: int
+    caster: RoomCaster,
+    T_world_camera: FloatArray,
+    rng: np.random.Generator,
+    stamp_ns: int,
+    noise: float = 1.0,
 ) -> RgbdFrame:
-    """An image with the noise of a Kinect."""
+    """An image with the noise of a Kinect, that of its depth times a factor."""
     v, u = np.mgrid[: INTRINSICS.height, : INTRINSICS.width].reshape(2, -1).astype(np.float64)
     rays = np.column_stack(
         [
@@ -71,8 +77,9 @@ def render(
     rgb = caster.rgb(hits, points).reshape(*shape, 3)
     gray = cv2.cvtColor(rgb.astype(np.uint8), cv2.COLOR_RGB2GRAY).astype(np.float64)
     gray = np.clip(np.rint(gray + rng.normal(0.0, _GRAY_SIGMA, shape)), 0, 255).astype(np.uint8)
-    inverse = 1.0 / depth_m + rng.normal(0.0, _INVERSE_DEPTH_SIGMA, depth_m.shape)
-    inverse = np.maximum(np.rint(inverse / _DISPARITY_STEP), 1.0) * _DISPARITY_STEP
+    inverse = 1.0 / depth_m + rng.normal(0.0, noise * _INVERSE_DEPTH_SIGMA, depth_m.shape)
+    step = noise * _DISPARITY_STEP
+    inverse = np.maximum(np.rint(inverse / step), 1.0) * step
     reported = 1.0 / inverse
     reported[(depth_m < _RANGE_M[0]) | (depth_m > _RANGE_M[1])] = np.nan
     return RgbdFrame(
