@@ -197,7 +197,7 @@ def nobodys_home(folder: Path) -> Iterator[Call]:
     write_drive(room)
     folder.chmod(0o777)
     # Where nobody may run this Python, it stays with who calls.
-    nobody = ["setpriv", "--reuid=65534", "--clear-groups", sys.executable, "-V"]
+    nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", sys.executable, "-V"]
     may_run = os.geteuid() == 0 and subprocess.run(nobody, capture_output=True).returncode == 0
     user = 65534 if may_run else None
     env = {"PATH": os.environ["PATH"]}

@@ -16,7 +16,7 @@ import msgspec.msgpack
 import viser
 import websockets.sync.client
 
-from tests.app.viser_client import CAMERA, connect, unpacked
+from tests.app.viser_client import CAMERA, Received, connect, unpacked
 
 # The one that a session builds last.
 LAST_WIDGET = "Save to the output folder"
@@ -159,8 +159,15 @@ def seconds_to_page(address: str, cookie: str | None = None) -> PageTimes:
     with connect(address, cookie, storage={}) as client:
         client.find(LAST_WIDGET, timeout=_PATIENCE_S)
         widgets_s = time.perf_counter() - begun_s
-        client.wait_for(lambda received: received.type == "ImageMessage", _PATIENCE_S)
+        client.wait_for(is_drawing, _PATIENCE_S)
         return PageTimes(page_s=page_s, widgets_s=widgets_s, scene_s=time.perf_counter() - begun_s)
+
+
+def is_drawing(received: Received) -> bool:
+    """Whether a message brings the scene's points, which are added empty."""
+    return received.type == "SceneNodeUpdateMessage" and "points" in received.message.get(
+        "updates", {}
+    )
 
 
 def malformed_messages() -> list[tuple[str, bytes]]:
