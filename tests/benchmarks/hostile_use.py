@@ -36,7 +36,6 @@ MOST_SECONDS = 300.0
 MIB = 1 << 20
 _SHOWN = 300
 _TOLD = ("note", "warning", "checked", "scans ")
-
 NOBODY = 65534
 
 
@@ -200,7 +199,13 @@ def nobodys_home(folder: Path) -> Iterator[Call]:
     folder.chmod(0o777)
     # Where nobody may run this Python, it stays with who calls.
     try:
-        ended = subprocess.run([sys.executable, "-V"], user=NOBODY, group=NOBODY, extra_groups=[])
+        ended = subprocess.run(
+            [sys.executable, "-V"],
+            capture_output=True,
+            user=NOBODY,
+            group=NOBODY,
+            extra_groups=[],
+        )
         may_run = ended.returncode == 0
     except PermissionError:
         may_run = False

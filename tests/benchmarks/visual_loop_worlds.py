@@ -1,7 +1,7 @@
 """Painted corridors and rooms for visual loop closing, and an RGB-D camera led through them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -47,7 +47,9 @@ class CameraRun:
         c, s = np.cos(right_rad), np.sin(right_rad)
         R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
         T_camera_moved = make_transform(R, np.array([right_m, 0.0, 0.0]))
-        return CameraRun(self.caster, self.T_world_camera @ T_camera_moved, self.seed + 1)
+        return replace(
+            self, T_world_camera=self.T_world_camera @ T_camera_moved, seed=self.seed + 1
+        )
 
 
 def render(
@@ -55,7 +57,7 @@ def render(
     T_world_camera: FloatArray,
     rng: np.random.Generator,
     stamp_ns: int,
-    noise: float = 1.0,
+    noise: float,
 ) -> RgbdFrame:
     """An image with the noise of a Kinect, that of its depth times a factor."""
     v, u = np.mgrid[: INTRINSICS.height, : INTRINSICS.width].reshape(2, -1).astype(np.float64)

@@ -35,11 +35,7 @@ _UNKNOWN = {
 
 def unknown_text(mount: Mount) -> str:
     """A sentence that names what of the camera's pose is not observable, empty if all is."""
-    unknown = [
-        _UNKNOWN[name]
-        for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True)
-        if sd is None and name != "clock_offset_ms"
-    ]
+    unknown = [_UNKNOWN[name] for name in _unobserved(mount) if name != "clock_offset_ms"]
     if not unknown:
         return ""
     return f"This recording does not tell {', '.join(unknown)}: assumed here, not found."
@@ -77,12 +73,11 @@ def mount_text(
     from elsewhere; ``roll_used_rad``: what the camera's pose has of it.
     """
     lines = []
-    unknown = []
+    unknown = [_UNKNOWN[name] for name in _unobserved(mount)]
     for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
-        form, positive, negative, unit, factor = _NAMES[name]
         if sd is None:
-            unknown.append(_UNKNOWN[name])
             continue
+        form, positive, negative, unit, factor = _NAMES[name]
         value = getattr(mount, name) * factor
         digits = 2 if unit == " m" else 1
         number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
@@ -97,3 +92,7 @@ def mount_text(
         lines.append(f"- This recording does not tell {', '.join(unknown)}.")
     lines += [f"- {note}" for note in notes]
     return "The camera:\n\n" + "\n".join(lines)
+
+
+def _unobserved(mount: Mount) -> list[str]:
+    return [name for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True) if sd is None]

@@ -137,7 +137,7 @@ class SlamPanel:
         self._choose_button = gui.add_button(
             _CHOOSE,
             visible=False,
-            hint="The first of scan and motion that the recording's streams allow",
+            hint="What the recording's streams allow of scan, motion, SLAM and fusion",
         )
         self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
         self._job = PanelJob(
