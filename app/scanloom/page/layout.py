@@ -12,6 +12,8 @@ _LEFT_PX, _RIGHT_PX = 430, 400
 _NARROW_LEFT_PX, _NARROW_RIGHT_PX = 300, 330
 _BOTTOM_PX, _LOW_BOTTOM_PX = 340, 300
 _LOW_SCREEN_PX = 800
+# Large letters need the higher panel on a projector's screen too.
+_LOW_LARGE_SCREEN_PX = 700
 _GAP_PX = 12
 # Of the legend over the scene; it takes a line, two in a narrow window and three on a phone.
 _LEGEND_LINE_PX = 27
@@ -58,7 +60,8 @@ def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> Page
     if is_large:
         free_px = math.floor((1.0 - _SCENE_SHARE) * width_px) - left_px - 2 * _GAP_PX
         right_px = max(min(round(_LARGE * right_px), free_px), right_px)
-    bottom_px = _BOTTOM_PX if height_px >= _LOW_SCREEN_PX else _LOW_BOTTOM_PX
+    low_px = _LOW_LARGE_SCREEN_PX if is_large else _LOW_SCREEN_PX
+    bottom_px = _BOTTOM_PX if height_px >= low_px else _LOW_BOTTOM_PX
     between_px = max(width_px - left_px - right_px - 2 * _GAP_PX, _LEAST_WIDTH_PX)
     sheet_px = max(width_px - 2 * _MARGIN_PX, _LEAST_WIDTH_PX)
     picture_width_px = sheet_px if is_phone else left_px - _MARGIN_PX
@@ -80,13 +83,14 @@ def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> Page
     )
 
 
-def covered_px(width_px: int, height_px: int) -> tuple[int, int]:
+def covered_px(width_px: int, height_px: int, *, is_large: bool = False) -> tuple[int, int]:
     """How much of the scene's height lies below the legend, and below the time panel or a phone's
-    sheet, for a window of this size."""
+    sheet, for a window of this size. ``is_large``: with large letters."""
     if width_px < _PHONE_PX:
         return 3 * _LEGEND_LINE_PX, round(_SHEET_SHARE * height_px)
     lines = 1 if width_px >= _WIDE_PX else 2
-    return lines * _LEGEND_LINE_PX, page_sizes(width_px, height_px).bottom_px + _GAP_PX
+    bottom_px = page_sizes(width_px, height_px, is_large=is_large).bottom_px
+    return lines * _LEGEND_LINE_PX, bottom_px + _GAP_PX
 
 
 class PageLayout:

@@ -150,7 +150,7 @@ class SceneViewpoint:
 
 def scene_window(camera: viser.CameraHandle, session: ClientSession) -> SceneWindow:
     """What a browser shows of the scene now, and what of it its panels cover."""
-    above_px, below_px = covered_px(*session.window_px)
+    above_px, below_px = covered_px(*session.window_px, is_large=session.view.large_text)
     # The scene is as high as the page. Both sizes of its image are zero in a minimised window.
     height_px = max(session.window_px[1], 1)
     aspect = max(camera.image_width, 1) / max(camera.image_height, 1)

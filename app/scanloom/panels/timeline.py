@@ -239,12 +239,13 @@ class TimelinePanel(Panel):
             self._picture.show(self._strip.rgb)
         self._mark()
         update_widget(self._row, content=row_html(self._row_state(frame_view)))
-        text = "Nothing to play"
+        text, details = "Nothing to play", ""
         if times is not None:
             index = min(frame_view.view.frame_index, self.last_index)
             text = frame_text(times, self._counts, index)
-            text = text[0].upper() + text[1:] + _gap(frame_view) + _camera(frame_view, index)
-        update_widget(self._line, content=line_html(text, progress_text(self._counts)))
+            text = text[0].upper() + text[1:] + _camera(frame_view, index)
+            details = _gap(frame_view)
+        update_widget(self._line, content=line_html(text, details, progress_text(self._counts)))
 
     def _missing(self, counts: FrameCounts | None, found: int | None, what: str) -> str:
         opened = None if self._frame_view is None else self._frame_view.open_recording

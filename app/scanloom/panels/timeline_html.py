@@ -64,10 +64,12 @@ def row_html(state: RowState) -> str:
 _PAIRS = "A pair of beam and pixel counts by the worse of its two sides"
 
 
-def line_html(text: str, aside: str) -> str:
-    """The displayed frame's line, and what goes on beside it; both are plain text."""
+def line_html(text: str, details: str, aside: str) -> str:
+    """The displayed frame's line, its ``details`` where letters leave room for them, and what goes
+    on beside it; all are plain text."""
     return (
-        f'<div class="scanloom-frame"><span title="{_PAIRS}">{html.escape(text)}</span>'
+        f'<div class="scanloom-frame"><span title="{_PAIRS}">{html.escape(text)}'
+        f'<span class="scanloom-details">{html.escape(details)}</span></span>'
         f"<span>{html.escape(aside)}</span></div>"
     )
 

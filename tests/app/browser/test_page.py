@@ -54,6 +54,8 @@ def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
             lambda size=size: abs(width_px(canvas) - size.between_px - 24) < 16  # type: ignore[misc]
         )
         assert len({round(one["y"]) for step in steps.all() if (one := step.bounding_box())}) == 1
+        rows = [person.page.get_by_label(name, exact=True) for name in ("Playback", "Speed")]
+        assert len({round(one["y"]) for row in rows if (one := row.bounding_box())}) == 1
         # It could not be dragged if it were shorter.
         assert width_px(slider) > 60
         person.page.keyboard.press("p")
