@@ -59,6 +59,7 @@ APP_LEVELS: tuple[set[str], ...] = (
     {"server"},
     {"commands"},
     {"cli", "the package"},
+    {"__main__"},
 )
 # The core serves the command line and the browser alike, and knows neither.
 NEVER_IN_CORE = {"scanloom", "viser", "tyro", "rich"}

@@ -168,7 +168,7 @@ def test_a_batch_that_is_stopped_keeps_what_is_done_and_leaves_nobody_behind(
     output = tmp_path / "out"
     command = ["batch", str(recordings), "-o", str(output), "--run", "map", "--", *OPTIONS]
     process = subprocess.Popen(
-        [sys.executable, "-m", "scanloom.cli", *command],
+        [sys.executable, "-m", "scanloom", *command],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,

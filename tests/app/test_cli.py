@@ -59,7 +59,7 @@ INFO = {
 def scanloom(*args: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own, from the checkout."""
     return subprocess.run(
-        [sys.executable, "-m", "scanloom.cli", *args],
+        [sys.executable, "-m", "scanloom", *args],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -649,7 +649,7 @@ def test_a_missing_recording_is_refused_without_a_traceback(tmp_path: Path) -> N
 def version_into(stdout: BinaryIO) -> subprocess.CompletedProcess[str]:
     """Its return code and stderr; stdout is buffered, so that it fails late, and again at exit."""
     return subprocess.run(
-        [sys.executable, "-m", "scanloom.cli", "--version"],
+        [sys.executable, "-m", "scanloom", "--version"],
         cwd=ROOT,
         env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         stdout=stdout,

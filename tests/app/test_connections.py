@@ -229,7 +229,7 @@ def test_a_page_of_another_version_is_reported_and_stdout_keeps_silent(
 
 
 def test_no_message_prints_a_traceback(small_scene: Path) -> None:
-    command = [sys.executable, "-m", "scanloom.cli", "view", str(small_scene), "--json", "--port=0"]
+    command = [sys.executable, "-m", "scanloom", "view", str(small_scene), "--json", "--port=0"]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as server:

@@ -93,7 +93,7 @@ def test_what_is_ignored_stays_ignored() -> None:
 
 def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "scanloom.cli", "fuse", str(sample_path()), "-o", str(out)]
+    command = [sys.executable, "-m", "scanloom", "fuse", str(sample_path()), "-o", str(out)]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         try:
@@ -112,7 +112,7 @@ def serving(recording: Path, port: int = 0, *more: str) -> subprocess.Popen[str]
     command = [
         sys.executable,
         "-m",
-        "scanloom.cli",
+        "scanloom",
         "view",
         str(recording),
         "--json",

@@ -119,7 +119,7 @@ class Times:
 @contextmanager
 def serving(recording: Path, tree: Path, environment: Mapping[str, str]) -> Iterator[str]:
     """The address of ``scanloom view`` run from the sources of ``tree``."""
-    command = [sys.executable, "-m", "scanloom.cli", "view", str(recording), "--port", "0"]
+    command = [sys.executable, "-m", "scanloom", "view", str(recording), "--port", "0"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, env=environment, cwd=tree
     )

@@ -25,7 +25,7 @@ DURATIONS_S = (5.0, 10.0, 20.0, 40.0)
 SCALES = (0.25, 0.5, 1.0)
 WORKERS = (1, 2)
 RECORDINGS = 8
-_SCANLOOM = (sys.executable, "-m", "scanloom.cli")
+_SCANLOOM = (sys.executable, "-m", "scanloom")
 _MIB_OF_KIB = 1 / 1024
 
 

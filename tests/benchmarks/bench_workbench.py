@@ -161,7 +161,7 @@ class Server:
 @contextmanager
 def serving(recording: Path) -> Iterator[Server]:
     """``scanloom view`` with this recording."""
-    command = [sys.executable, "-m", "scanloom.cli", "view", str(recording), "--port", "0"]
+    command = [sys.executable, "-m", "scanloom", "view", str(recording), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None, "it is piped"
     try:

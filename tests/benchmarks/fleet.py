@@ -57,7 +57,7 @@ def batch(folder: Path, output: Path, scheduler: str) -> None:
     begin = time.perf_counter()
     command = ["batch", str(folder), "-o", str(output), "--run", "fuse", "--scheduler", scheduler]
     done = subprocess.run(
-        [sys.executable, "-m", "scanloom.cli", *command, "--", "--no-maps", "--no-figures"],
+        [sys.executable, "-m", "scanloom", *command, "--", "--no-maps", "--no-figures"],
         stdout=subprocess.PIPE,
         text=True,
     )

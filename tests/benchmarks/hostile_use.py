@@ -76,7 +76,7 @@ def run(
     """Run ``scanloom`` and measure it; SIGTERM is sent once it has said ``end_after``."""
     begun = _clock_s()
     process = subprocess.Popen(
-        [sys.executable, "-m", "scanloom.cli", *words],
+        [sys.executable, "-m", "scanloom", *words],
         cwd=cwd,
         env=(dict(os.environ) if env is None else env) | {"PYTHONPATH": str(ROOT)},
         stdin=subprocess.DEVNULL,

@@ -64,7 +64,7 @@ class Server:
 def served(folder: Path) -> Iterator[Server]:
     words = ["view", str(sample_path()), "--port=0", "--json", "-o", str(folder / "out")]
     with subprocess.Popen(
-        [sys.executable, "-m", "scanloom.cli", *words],
+        [sys.executable, "-m", "scanloom", *words],
         env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

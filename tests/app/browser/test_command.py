@@ -18,7 +18,7 @@ def test_the_command_serves_until_it_is_interrupted(small_scene: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "scanloom.cli",
+        "scanloom",
         "view",
         str(small_scene),
         "--port",

@@ -252,7 +252,7 @@ class Serving:
     """The command in a process of its own, which may be killed."""
 
     def __init__(self, recording: Path, labels: Path) -> None:
-        command = [sys.executable, "-m", "scanloom.cli", "view", str(recording)]
+        command = [sys.executable, "-m", "scanloom", "view", str(recording)]
         command += ["--port", "0", "--json", "--labels", str(labels)]
         self.process = subprocess.Popen(
             command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

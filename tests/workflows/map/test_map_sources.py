@@ -84,7 +84,7 @@ def test_one_thread_or_two_give_the_same_bytes(recording, mapped, tmp_path):
     threads = "2" if os.cpu_count() == 1 else "1"
     folders = [mapped("merged", "fused", "particle-filter"), tmp_path / "map"]
     counts = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-    command = [sys.executable, "-m", "scanloom.cli", "map", str(recording), "-o", str(folders[1])]
+    command = [sys.executable, "-m", "scanloom", "map", str(recording), "-o", str(folders[1])]
     options = ["--scan", "merged", "--motion", "fused", "--slam", "particle-filter"]
     subprocess.run(
         [*command, *options],
