@@ -8,6 +8,7 @@ from typing import Any
 
 # Functions that call each other are prepared by one thread.
 _preparing = threading.RLock()
+_declared: list["_Compiled"] = []
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -24,9 +25,17 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         assert isinstance(function, FunctionType), "numba compiles plain functions"
-        return _Compiled(function, options)
+        _declared.append(_Compiled(function, options))
+        return _declared[-1]
 
     return decorate
+
+
+def load_cached() -> None:
+    """Load what the caches hold of all functions declared so far: a process that waits for its work
+    need not do it then. What no cache holds is compiled at its first call, as ever."""
+    for function in _declared:
+        function.load_cached()
 
 
 class _Compiled:
@@ -55,6 +64,20 @@ class _Compiled:
                     if isinstance(called := names.get(name), _Compiled):
                         names[name] = called._prepare()
             return self._dispatcher
+
+    def load_cached(self) -> None:
+        """Load what the cache holds of it for this machine."""
+        dispatcher = self._prepare()
+        cache = dispatcher._cache
+        file = getattr(cache, "_cache_file", None)  # None without a place.
+        try:
+            keys = list(file._load_index()) if file is not None else []
+        except (AttributeError, ImportError):
+            return  # Of another version, as _discard_unreadable_index says.
+        for key in keys:
+            signature, codegen = key[0], dispatcher.targetctx.codegen()
+            if key == cache._index_key(signature, codegen):
+                dispatcher.compile(signature)
 
 
 def _names_in(code: CodeType) -> Iterator[str]:

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -131,19 +130,19 @@ class WorkerPool:
         """Whether tasks are done in other processes."""
         return self.workers > 1
 
-    def start(self, *modules: str) -> None:
-        """Start the processes and let them import ``modules``, without waiting for them."""
+    def start(self, prepare: Callable[[], None]) -> None:
+        """Start the processes and let each ``prepare`` for its tasks, without waiting for them."""
         if self.is_parallel:
             for _ in range(self.workers - 1):
-                self._running().submit(_import_all, modules)
+                self._running().submit(prepare)
 
-    def restart(self, *modules: str) -> None:
-        """Let other processes import ``modules`` and take the places of the present ones, whose
-        memory is freed. All results were taken."""
+    def restart(self, prepare: Callable[[], None]) -> None:
+        """Let other processes ``prepare`` and take the places of the present ones, whose memory is
+        freed. All results were taken."""
         if self._executor is not None:
             self._executor.shutdown()
             self._executor = None
-            self.start(*modules)
+            self.start(prepare)
 
     def share(self, value: _Value) -> Shared[_Value]:
         """A value for the arguments of many tasks."""
@@ -253,8 +252,3 @@ def _end_with_parent() -> None:
     assert parent is not None, "a worker has one"
     multiprocessing.connection.wait([parent.sentinel])
     os._exit(1)
-
-
-def _import_all(modules: tuple[str, ...]) -> None:
-    for module in modules:
-        import_module(module)

@@ -72,3 +72,30 @@ def test_a_cache_of_another_version_is_compiled_anew(tmp_path: Path) -> None:
         assert done.stderr == ""
         assert done.stdout == f"{2.0 * value}\n"
     assert list(tmp_path.glob("__pycache__/*.nbi"))
+
+
+LOADED = """
+from fusion_core.compiled import load_cached
+from fusion_core.mapping.rays import trace_ray
+
+load_cached()
+stats = trace_ray.stats
+print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
+"""
+
+
+def test_what_a_cache_holds_is_loaded_before_the_first_call(tmp_path: Path) -> None:
+    found = []
+    for code in (LOADED, CALL, LOADED):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=ROOT,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.stderr == ""
+        found.append(done.stdout)
+    assert found == ["0 0\n", "4 True\n", "1 0\n"]

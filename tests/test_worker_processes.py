@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from fusion_core.compiled import load_cached
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange, WorkerFailed
 from fusion_core.worker_processes import Shared, WorkerPool
@@ -155,7 +156,7 @@ def test_an_error_of_this_process_waits_for_its_turn(pool: WorkerPool, tmp_path:
 def test_after_a_restart_other_processes_do_the_work(tmp_path: Path) -> None:
     with WorkerPool(2) as restarted:
         before = processes_at_work(restarted, tmp_path / "before")
-        restarted.restart("fusion_core.model.errors")
+        restarted.restart(load_cached)
         after = processes_at_work(restarted, tmp_path / "after")
     assert len(before) == len(after) == 2
     assert before & after == {os.getpid()}

@@ -145,7 +145,23 @@ class ParquetTable:
 
 
 def _to_arrow(values: npt.NDArray[Any], column_type: "pa.DataType") -> Any:
-    # from_pandas turns NaN to null; the safe cast refuses fractions and overflow.
+    """NaN becomes null; the safe cast refuses fractions and overflow.
+
+    Numbers and text are handed over by their buffers: ``pa.array`` imports pandas where that is
+    installed, which takes longer than to write a short table.
+    """
     import pyarrow as pa
 
-    return pa.array(values, from_pandas=True).cast(column_type)
+    if values.dtype.kind == "U":
+        texts = [text.encode() for text in values.tolist()]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+        buffers = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(texts))]
+        return pa.Array.from_buffers(pa.string(), len(texts), buffers).cast(column_type)
+    if values.dtype.kind not in "iuf" or not values.dtype.isnative:
+        return pa.array(values, from_pandas=True).cast(column_type)
+    is_known = None
+    if values.dtype.kind == "f" and (is_nan := np.isnan(values)).any():
+        is_known = pa.py_buffer(np.packbits(~is_nan, bitorder="little"))
+    buffers = [is_known, pa.py_buffer(np.ascontiguousarray(values))]
+    number_type = pa.from_numpy_dtype(values.dtype)
+    return pa.Array.from_buffers(number_type, values.size, buffers).cast(column_type)

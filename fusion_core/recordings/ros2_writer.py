@@ -9,6 +9,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray, IntArray
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.interpolation import quaternion_from_rotation
 from fusion_core.model.sensors import (
     CameraInfo,
     ColorImage,
@@ -365,10 +366,7 @@ def _vector(kind: str, xyz: FloatArray) -> Any:
 
 
 def _quaternion(rotation: FloatArray) -> Any:
-    from scipy.spatial.transform import Rotation
-
-    # Canonical: of the two quaternions of a rotation, the one with w >= 0.
-    x, y, z, w = (float(v) for v in Rotation.from_matrix(rotation).as_quat(canonical=True))
+    x, y, z, w = (float(value) for value in quaternion_from_rotation(rotation))
     return _message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
 

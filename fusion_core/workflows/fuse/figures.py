@@ -53,9 +53,6 @@ from fusion_core.workflows.fuse.frame_match import curves_at
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.table_1 import table_1_row, write_table_1
 
-# What drawing imports.
-FIGURE_MODULES = (__name__, "matplotlib.style", "matplotlib.backends.backend_agg")
-
 _METRIC_NAMES: dict[Metric, str] = {
     "pearson": "Pearson, eq. (2)",
     "inverse_cosine": "1 − cosine, eq. (3) as printed",
@@ -91,6 +88,12 @@ class FigureData:
 
 # A figure yet to be drawn, by any process: it returns why it was left out, None where it was not.
 _Figure = Callable[[], str | None]
+
+
+def prepare_to_draw() -> None:
+    """What a worker does while the results are finished: import what drawing does."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.style  # noqa: F401  # exporting.figures does with the first figure
 
 
 def write_figures(

@@ -22,10 +22,10 @@ from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import LaserScan
 from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
-from fusion_core.workflows.fuse.figures import FIGURE_MODULES, FigureData, write_figures
+from fusion_core.workflows.fuse.figures import FigureData, prepare_to_draw, write_figures
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
-from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, fuse_again, fused_results
+from fusion_core.workflows.fuse.fused_results import fuse_again, fused_results, prepare_to_fuse
 from fusion_core.workflows.fuse.reference_map import reference_map
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -67,7 +67,7 @@ def fuse(
         if plan.is_done:
             return read_summary(output)
         with results_folder(plan) as folder, WorkerPool(options.workers) as pool:
-            pool.start(*WORKER_MODULES)
+            pool.start(prepare_to_fuse)
             write_text(folder / "settings.toml", settings_text)
             session = open_session(opened, options, settings, given)
             summary = _run_chain(session, folder, replace(options, preset=preset), pool, progress)
@@ -117,7 +117,7 @@ def _run_chain(
             showcase = results.figures.showcase(
                 lambda task: fuse_again(task, session, alignment, pool)
             )
-            pool.restart(*FIGURE_MODULES)
+            pool.restart(prepare_to_draw)
         grids, map_notes = results.finish()
     notes.extend(map_notes)
     document = alignment_document(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
+from fusion_core.compiled import load_cached
 from fusion_core.model.sensors import LaserScan
 from fusion_core.worker_processes import Shared, WorkerPool
 from fusion_core.workflows.fuse.align import RecordingAlignment
@@ -19,8 +20,6 @@ from fusion_core.workflows.fuse.session import Session
 _IMAGES_PER_CHUNK = 4
 # Scans, and images without one, that are kept back at most.
 _ENTRIES_PER_CHUNK = 256
-# What a worker imports while the recording is aligned.
-WORKER_MODULES = (__name__, "numba", "scipy.linalg", "scipy.special")
 
 _Entry = LaserScan | PairedImage | FrameTask
 
@@ -31,6 +30,13 @@ class TaskResults:
 
     task: FrameTask
     results: tuple[FrameResult, ...]
+
+
+def prepare_to_fuse() -> None:
+    """What a worker does while the recording is aligned: import and load what the chain calls."""
+    import scipy.special  # noqa: F401  # the repair does with its first opening
+
+    load_cached()
 
 
 def fused_results(

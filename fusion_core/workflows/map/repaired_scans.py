@@ -11,7 +11,7 @@ from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
-from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, TaskResults, fused_results
+from fusion_core.workflows.fuse.fused_results import TaskResults, fused_results, prepare_to_fuse
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue, ranges_without_burrs_m
 from fusion_core.workflows.fuse.session import session_of
 from fusion_core.workflows.fuse.settings import ChainSettings
@@ -41,7 +41,7 @@ class RepairedScans:
                 "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
             )
         self._pool = pool or WorkerPool(1)
-        self._pool.start(*WORKER_MODULES)
+        self._pool.start(prepare_to_fuse)
         rig = build_camera_rig(recording, streams, settings.sampling, given=sensors.given)
         session = session_of(recording, streams, rig, settings)
         self._alignment = align_recording(session, progress)
