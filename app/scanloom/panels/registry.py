@@ -137,9 +137,11 @@ def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: 
         stepper.add_help(name)
 
     opening = OpeningDialog(client, bridge, session, walk)
-    # The scene displays what the panels have just drawn. The bar goes once all is aligned.
+    # What a person looks at while a slider moves comes first, and the noise along time, which is
+    # counted behind, after it. The bar goes once all is aligned.
     pictures = depth, similarity
     arrangement = ArrangementPanel(bridge, session, layout, pictures, timeline, profile)
     top = [arrangement, header, walk, stepper, preset]
     gizmo = CameraGizmo(client, session)
-    session.panels = [*top, timeline, profile, *pictures, *steps, scene, gizmo, bar, opening]
+    views = [similarity, depth, profile, *steps, scene, gizmo, timeline]
+    session.panels = [*top, *views, bar, opening]

@@ -16,6 +16,7 @@ from scanloom.panels.visual_stage import VisualStage
 from scanloom.scene.level_of_detail import POINTS_MAX
 from scanloom.scene.visual_picture import VisualPicture
 from scanloom.scene.visual_shapes import Boxes
+from scanloom.state.view import View
 from tests.patience import ENOUGH_S, comes_true
 
 ALL = frozenset({"cloud", "keyframes", "loops", "map"})
@@ -58,7 +59,10 @@ def stage(server: viser.ViserServer) -> Iterator[tuple[VisualStage, Camera, Sent
         raise AssertionError(error)
 
     session: Any = SimpleNamespace(
-        show_failure=fail, batch_updates=nullcontext, window_px=(1600, 900)
+        show_failure=fail,
+        batch_updates=nullcontext,
+        window_px=(1600, 900),
+        view=View(recording="a"),
     )
     stage, sent = VisualStage(client, session), Sent()
     stage.on_points = lambda shown, total: sent.append((shown, total))
