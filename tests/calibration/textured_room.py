@@ -99,17 +99,14 @@ def cast(
         for face in faces:
             others = [k for k in range(3) if k != face.axis]
             t = (face.corner_m[face.axis] - origin_m[face.axis]) / directions[:, face.axis]
-            # The walls come first: few rays end before what they have met.
-            near = np.flatnonzero((t > 1e-6) & (t < best))
-            t, along = t[near], directions[near]
-            a = origin_m[others[0]] + t * along[:, others[0]] - face.corner_m[others[0]]
-            b = origin_m[others[1]] + t * along[:, others[1]] - face.corner_m[others[1]]
-            inside = (a >= 0) & (b >= 0) & (a < face.edges_m[0]) & (b < face.edges_m[1])
-            hit = near[inside]
-            best[hit] = t[inside]
+            a = origin_m[others[0]] + t * directions[:, others[0]] - face.corner_m[others[0]]
+            b = origin_m[others[1]] + t * directions[:, others[1]] - face.corner_m[others[1]]
+            hit = (t > 1e-6) & (t < best) & (a >= 0) & (b >= 0)
+            hit &= (a < face.edges_m[0]) & (b < face.edges_m[1])
+            best[hit] = t[hit]
             axis[hit] = face.axis
-            i = np.minimum((a[inside] / TEXEL_M).astype(int), face.visible.shape[0] - 1)
-            j = np.minimum((b[inside] / TEXEL_M).astype(int), face.visible.shape[1] - 1)
+            i = np.minimum((a[hit] / TEXEL_M).astype(int), face.visible.shape[0] - 1)
+            j = np.minimum((b[hit] / TEXEL_M).astype(int), face.visible.shape[1] - 1)
             visible[hit], infrared[hit] = face.visible[i, j], face.infrared[i, j]
     return best, axis, visible, infrared
 
