@@ -102,6 +102,17 @@ def _one_core() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _mounts_are_kept() -> Iterator[None]:
+    """What is aligned again has its mount from the first time: its search is tested by itself."""
+    from fusion_core.workflows.fuse import align
+    from tests.kept_mounts import KeptMounts
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(align, "estimate_mount", KeptMounts())
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder that holds rooms/ and real/. Tests that use it are marked ``data``."""

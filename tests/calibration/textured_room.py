@@ -204,7 +204,7 @@ def _pixel_rays(camera: CameraIntrinsics, samples: int) -> FloatArray:
         for _ in range(20):
             off = wanted - project_points(rays, camera)
             rays[:, :2] += off / [camera.fx, camera.fy]
-            if np.abs(off).max() < 1e-6:
+            if np.abs(off).max() < 1e-3:
                 break
     return rays
 

@@ -96,6 +96,13 @@ def require_type_store(channel: Channel) -> Typestore:
 
 
 def _type_store(channel: Channel) -> Typestore:
+    return _store_of_type(replace(channel, topic=""))
+
+
+@lru_cache(maxsize=128)
+def _store_of_type(channel: Channel) -> Typestore:
+    """``_type_store``, cached for all channels that differ only in their topics: code is generated
+    once, however many recordings have the type. The store is shared: nothing is added to it."""
     if channel.serialization not in _DEFAULT_STORES:
         raise UnreadableType(f"its encoding {channel.serialization!r} is neither CDR nor ROS 1")
     name = channel.message_type

@@ -37,7 +37,7 @@ def rows_of(table: Path) -> list[dict[str, str]]:
 def versions(scenes, tmp_path_factory) -> dict[str, Path]:
     """One simulated panorama as MCAP with all its mounts, as v1 and as Robot@Home2."""
     folder = tmp_path_factory.mktemp("robot_at_home")
-    scene = scenes("robot_at_home", duration_s=2.0, image_scale=1.0)
+    scene = scenes("robot_at_home", duration_s=1.5, image_scale=1.0)
     truth = np.load(scene.with_name(f"{scene.stem}.truth.npz"))
     x, y, z, *_ = trees.MOUNTS["HOKUYO1"]
     T_base_laser = make_transform(np.eye(3), np.array([x, y, z]))
@@ -73,7 +73,7 @@ def versions(scenes, tmp_path_factory) -> dict[str, Path]:
                 ),
             )
             writer.write_transforms("/tf_static", batch)
-    short = room.sights[: len(room.sights) // 3]
+    short = room.sights[: len(room.sights) // 2]
     other = replace(room, room="bedroom1", sights=short)
     passages = [replace(each, session=SHORT, sights=short) for each in (room, other)]
     trees.write_plain_text(folder / "v1", [room, other, *passages])

@@ -309,7 +309,7 @@ def test_a_mount_that_scans_and_images_do_not_show_is_refused(tmp_path):
 
 
 def test_a_mount_from_the_alignment_and_a_height_from_the_floor(scenes):
-    path = scenes("furnished_room", duration_s=6.0)
+    path = scenes("furnished_room", duration_s=4.0)
     truth = dict(np.load(path.with_name(f"{path.stem}.truth.npz")))
     T_true = truth["T_lidar_camera"][0]
     with open_recording(path) as recording:
