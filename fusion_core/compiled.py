@@ -74,8 +74,9 @@ class _Compiled:
             keys = list(file._load_index()) if file is not None else []
         except (AttributeError, ImportError):
             return  # Of another version, as _discard_unreadable_index says.
+        codegen = dispatcher.targetctx.codegen()
         for key in keys:
-            signature, codegen = key[0], dispatcher.targetctx.codegen()
+            signature = key[0]
             if key == cache._index_key(signature, codegen):
                 dispatcher.compile(signature)
 

@@ -6,12 +6,10 @@ the content of all that the search is given, so that a change of what precedes i
 
 import hashlib
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Any
 
 from fusion_core.alignment.mount import MountEstimate, estimate_mount
-from fusion_core.alignment.mount_observation import MountObservation
-from fusion_core.alignment.mount_settings import MountSettings
-from fusion_core.model.rig import Mount
 
 
 class KeptMounts:
@@ -21,16 +19,9 @@ class KeptMounts:
         self._found: dict[bytes, tuple[MountEstimate, int]] = {}
 
     def __call__(
-        self,
-        frames: Sequence[MountObservation],
-        settings: MountSettings,
-        *,
-        yaw_rad: float,
-        recorded: Mount | None = None,
-        on_step: Callable[[], None] = lambda: None,
+        self, *given: Any, on_step: Callable[[], None] = lambda: None, **named: Any
     ) -> MountEstimate:
-        given = pickle.dumps((frames, settings, yaw_rad, recorded))
-        key = hashlib.sha256(given).digest()
+        key = hashlib.sha256(pickle.dumps((given, sorted(named.items())))).digest()
         if key in self._found:
             estimate, steps = self._found[key]
             for _ in range(steps):
@@ -43,8 +34,6 @@ class KeptMounts:
             steps += 1
             on_step()
 
-        estimate = estimate_mount(
-            frames, settings, yaw_rad=yaw_rad, recorded=recorded, on_step=count
-        )
+        estimate = estimate_mount(*given, on_step=count, **named)
         self._found[key] = estimate, steps
         return estimate

@@ -15,20 +15,24 @@ print(trace_ray(0.5, 0.5, 3.5, 0.5, cells), bool(trace_ray.stats.cache_path))
 """
 
 
-def test_a_cache_that_has_no_place_is_done_without() -> None:
-    # The one place that is left is for sources in a zip archive, and these are in none.
-    without = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
+def printed(code: str, **environment: str) -> str:
+    """What a process of its own prints, which says nothing else."""
     done = subprocess.run(
-        [sys.executable, "-c", CALL],
+        [sys.executable, "-c", code],
         cwd=ROOT,
-        env=without,
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
     )
     assert done.stderr == ""
-    assert done.stdout == "4 False\n"
+    return done.stdout
+
+
+def test_a_cache_that_has_no_place_is_done_without() -> None:
+    # The one place that is left is for sources in a zip archive, and these are in none.
+    assert printed(CALL, NUMBA_CACHE_LOCATOR_CLASSES="ZipCacheLocator") == "4 False\n"
 
 
 def test_a_cache_that_has_a_place_is_used() -> None:
@@ -61,16 +65,7 @@ def test_a_cache_of_another_version_is_compiled_anew(tmp_path: Path) -> None:
     stage = tmp_path / "stage.py"
     for name, value in (("Before", 1.0), ("After", 2.0)):
         stage.write_text(NAMED_TUPLE.format(name=name, value=value), encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, "-c", "import stage"],
-            env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert done.stderr == ""
-        assert done.stdout == f"{2.0 * value}\n"
+        assert printed("import stage", PYTHONPATH=f"{tmp_path}:{ROOT}") == f"{2.0 * value}\n"
     assert list(tmp_path.glob("__pycache__/*.nbi"))
 
 
@@ -85,17 +80,5 @@ print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 
 
 def test_what_a_cache_holds_is_loaded_before_the_first_call(tmp_path: Path) -> None:
-    found = []
-    for code in (LOADED, CALL, LOADED):
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            cwd=ROOT,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert done.stderr == ""
-        found.append(done.stdout)
+    found = [printed(code, NUMBA_CACHE_DIR=str(tmp_path)) for code in (LOADED, CALL, LOADED)]
     assert found == ["0 0\n", "4 True\n", "1 0\n"]

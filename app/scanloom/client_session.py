@@ -6,7 +6,6 @@ to the panels. A failure is shown as a notification, and the session goes on.
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -39,9 +38,6 @@ STORED_VIEW = "view"
 _NOTIFICATION_S = 9.0
 # During a drag that outruns the computation, an outdated result is displayed at least this often.
 _MAX_DISPLAY_INTERVAL_S = 0.1
-# What is shown in less time is sent together: each sending wakes viser's thread, which takes the
-# interpreter from the one that draws. A picture takes longer, and is sent before the next is drawn.
-_SENT_TOGETHER_S = 0.004
 # The panels' last messages need the connection, which closes after the session.
 _CLOSE_TIMEOUT_S = 3.0
 # What sliders change beside settings.
@@ -402,27 +398,20 @@ class ClientSession:
         )
         try:
             with self.batch_updates() if is_other_frame else nullcontext():
-                self._show(frame_view, is_progress=has_progressed)
+                for panel in self.panels:
+                    if self._closed.is_set():
+                        return
+                    with self.batch_updates():
+                        if has_progressed:
+                            panel.show_progress(frame_view)
+                        else:
+                            panel.show(frame_view)
         finally:
             # Whatever a panel cannot show yet, it may once the recording is aligned.
             if frame_view.is_being_aligned:
                 self._align_behind(open_recording)
         self._displayed_s = time.monotonic()
         self._client.local_storage.set_item(STORED_VIEW, view.to_link())
-
-    def _show(self, frame_view: FrameView, *, is_progress: bool) -> None:
-        panels = deque(self.panels)
-        while panels:
-            until_s = time.monotonic() + _SENT_TOGETHER_S
-            with self.batch_updates():
-                while panels and time.monotonic() < until_s:
-                    if self._closed.is_set():
-                        return
-                    panel = panels.popleft()
-                    if is_progress:
-                        panel.show_progress(frame_view)
-                    else:
-                        panel.show(frame_view)
 
     def _align_behind(self, open_recording: OpenRecording) -> None:
         """Start the alignment once the browser has taken in the frame as it was recorded: both
