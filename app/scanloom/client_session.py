@@ -15,6 +15,7 @@ from typing import Any, Literal, Protocol
 import viser
 
 from fusion_core.model.errors import ScanLoomError, SettingsError
+from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.model.names import printable
 from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
@@ -140,6 +141,7 @@ class ClientSession:
         self.window_px = FIRST_WINDOW_PX
         self._prefers_dark = False
         self._hover = Hover()
+        self._found_pose: tuple[str, ExtrinsicsEstimate] | None = None
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._worker = LatestOnlyWorker(
@@ -225,6 +227,15 @@ class ClientSession:
         with self.batch_updates():
             for panel in self.panels:
                 panel.show_hover(frame_view, complete)
+
+    def keep_found_pose(self, recording: str, found: ExtrinsicsEstimate) -> None:
+        """Keep what a calibration of a recording has found, instead of what one had before. It
+        shows with the next view."""
+        self._found_pose = recording, found
+
+    def _found_pose_of(self, recording: str) -> ExtrinsicsEstimate | None:
+        kept = self._found_pose
+        return kept[1] if kept is not None and kept[0] == recording else None
 
     def undo(self) -> None:
         """Undo the last label in the review, elsewhere the last change of settings, frame, step or
@@ -376,7 +387,12 @@ class ClientSession:
         labels = self._library.labels(open_recording.recording.path)
         frame_view = compute_frame_view(view, open_recording, self.raise_if_closed, labels.layer)
         review = None if self.review is None else self.review.overlay(frame_view)
-        frame_view = replace(frame_view, is_dark=self._is_dark(view), review=review)
+        frame_view = replace(
+            frame_view,
+            is_dark=self._is_dark(view),
+            review=review,
+            found_pose=self._found_pose_of(view.recording),
+        )
         is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S
         if self._closed.is_set() or not (is_newest() or is_overdue):
             return

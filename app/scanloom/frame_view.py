@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.labels import LabelLayer
 from fusion_core.model.sensors import ColorImage
@@ -32,8 +33,9 @@ class FrameView:
     the frame as it was recorded. Of a recording without a LiDAR there is never more than ``raw``,
     of one without depth images never more than ``lone``. ``frame`` is a FrameMatch where the
     classification or the repair failed, or is hidden in a blind review. ``review``: the frame's
-    labels, while it is reviewed. ``calibration``: in that step alone. ``is_dark``: whether it is
-    shown on a dark page.
+    labels, while it is reviewed. ``calibration``: in that step alone. ``found_pose``: of the camera
+    and a turning LiDAR, once it was calibrated in this browser. ``is_dark``: whether it is shown on
+    a dark page.
     """
 
     view: View
@@ -48,6 +50,7 @@ class FrameView:
     lone: LoneFrame | None = None
     review: ReviewOverlay | None = None
     calibration: CalibrationView | None = None
+    found_pose: ExtrinsicsEstimate | None = None
 
     @property
     def is_being_aligned(self) -> bool:

@@ -196,6 +196,7 @@ class CloudCalibration:
         def done(found: "RecordedCalibration") -> None:
             with self._lock:
                 self._found, self._saved = (name, found), None
+            self._session.keep_found_pose(name, found.calibration.estimate)
             self._job.end()
 
         self._job.begin("camera calibration", work, done)

@@ -6,6 +6,7 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
+from fusion_core.model.extrinsics import POSE_PARAMETER_WORDS, ExtrinsicsEstimate
 from fusion_core.model.labels import NO_LABEL
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
@@ -217,6 +218,8 @@ def _map(frame_view: FrameView) -> Verdict:
 def _calibrate(frame_view: FrameView) -> Verdict:
     shown = frame_view.calibration
     if frame_view.open_recording.has_turning_lidar:
+        if frame_view.found_pose is not None:
+            return _found(frame_view.found_pose)
         return Verdict(
             sentence="A turning LiDAR and a camera: find their pose",
             detail="From what both see of the scene, without a target.",
@@ -241,3 +244,24 @@ def _calibrate(frame_view: FrameView) -> Verdict:
             "All steps use the pose as it is now."
         )
     return Verdict(sentence=f"{now.fraction:.0%} {where}", detail=detail)
+
+
+def _found(estimate: ExtrinsicsEstimate) -> Verdict:
+    """What a calibration of a turning LiDAR and a camera has found."""
+    if estimate.T_guess is not None and not estimate.improved:
+        return Verdict(sentence="The guess is kept: no better pose was found")
+    sentence = "The camera's pose is found"
+    if estimate.reprojection_rms_px is not None:
+        error_px = f"{estimate.reprojection_rms_px:.2f} px"
+        sentence += f": pairs that were held out are {error_px} off (RMS)"
+    unknown = [
+        words
+        for words, sd in zip(POSE_PARAMETER_WORDS.values(), estimate.sd, strict=True)
+        if sd is None
+    ]
+    how_sure = f"Not observable: {', '.join(unknown)}. " if unknown else ""
+    return Verdict(
+        sentence=sentence,
+        detail=f"{how_sure}The evidence is below; saved as a file, the pose serves other "
+        "recordings of this rig.",
+    )

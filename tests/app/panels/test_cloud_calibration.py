@@ -1,7 +1,7 @@
 """The Calibrate panel on a recording of a turning LiDAR with a camera; the method is played."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -290,6 +290,47 @@ def test_the_result_is_saved_as_by_the_command(
     estimate = read_estimate(path)
     np.testing.assert_allclose(estimate.T_camera_lidar, T_CAMERA_LIDAR)
     assert estimate.reprojection_rms_px == 0.7
+
+
+def test_the_verdict_is_of_the_result(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def sentence() -> str:
+        frame_view = bench.session.frame_view
+        assert frame_view is not None
+        return verdict_of(frame_view).sentence
+
+    asked = sentence()
+    play(monkeypatch, found())
+    press = bench.panel._cloud._button._impl.uuid
+    bench.browser.update(press, {"value": True})
+    bench.until(lambda: sentence() != asked)
+    assert sentence().startswith("The camera's pose is found")
+    assert "0.70 px" in sentence()
+    T_guess = T_CAMERA_LIDAR.copy()
+    T_guess[0, 3] = 0.1
+    play(monkeypatch, found(improved=False, T_guess=T_guess))
+    bench.browser.wait_until(lambda: not bench.panel._cloud._button.disabled)
+    bench.browser.update(press, {"value": True})
+    bench.until(lambda: sentence().startswith("The guess is kept"))
+
+
+def test_the_verdict_names_what_is_not_observable(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = found()
+    covariance = result.calibration.estimate.covariance.copy()
+    covariance[1] = covariance[:, 1] = np.nan
+    estimate = replace(
+        result.calibration.estimate, covariance=covariance, unobservable=("rotation_y_rad",)
+    )
+    play(monkeypatch, replace(result, calibration=replace(result.calibration, estimate=estimate)))
+    bench.browser.update(bench.panel._cloud._button._impl.uuid, {"value": True})
+
+    def detail() -> str:
+        frame_view = bench.session.frame_view
+        return "" if frame_view is None else verdict_of(frame_view).detail
+
+    bench.until(lambda: "Not observable: yaw" in detail())
+    assert "pitch" not in detail()
 
 
 def test_a_calibration_that_fails_says_why(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -136,6 +136,14 @@ def test_the_floor_corrects_a_tilt_that_tf_has_wrong(tmp_path):
     for scan in scans:
         assert_true(scan, START_POSE)
     assert any("tilts by 2.0 degrees" in note for note in notes)
+    # The scans alone forgive 2 degrees.
+    with open_recording(path) as recording:
+        extrinsics = find_extrinsics(recording, choose_streams(recording), ChainSettings())
+        (camera,) = align_to_floor(recording, extrinsics, VirtualScanSettings()).cameras
+    R_told, R_true = told[:3, :3], camera_pose(0.8)[:3, :3]
+    up_in_camera = camera.T_floor_camera[2, :3]
+    assert np.rad2deg(np.arccos(up_in_camera @ R_told[2])) == pytest.approx(2.0, abs=0.1)
+    assert np.rad2deg(np.arccos(min(up_in_camera @ R_true[2], 1.0))) < 0.1
 
 
 def test_what_was_seen_before_is_carried_to_the_scan(tmp_path):
