@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import viser
 
 from fusion_core.model.errors import ScanLoomError, SettingsError
-from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.model.names import printable
 from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
@@ -32,6 +31,10 @@ from scanloom.state.open_recording import OpenRecording
 from scanloom.state.review_choices import Answer
 from scanloom.state.review_overlay import ReviewOverlay
 from scanloom.state.view import View
+
+if TYPE_CHECKING:
+    # It takes long to import, and most recordings are of another kind.
+    from fusion_core.workflows.calibrate.recorded_camera import RecordedCalibration
 
 # Key of the view in the browser's local storage.
 STORED_VIEW = "view"
@@ -141,7 +144,7 @@ class ClientSession:
         self.window_px = FIRST_WINDOW_PX
         self._prefers_dark = False
         self._hover = Hover()
-        self._found_pose: tuple[str, ExtrinsicsEstimate] | None = None
+        self._found: tuple[str, RecordedCalibration] | None = None
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._worker = LatestOnlyWorker(
@@ -228,13 +231,14 @@ class ClientSession:
             for panel in self.panels:
                 panel.show_hover(frame_view, complete)
 
-    def keep_found_pose(self, recording: str, found: ExtrinsicsEstimate) -> None:
+    def keep_found(self, recording: str, found: "RecordedCalibration") -> None:
         """Keep what a calibration of a recording has found, instead of what one had before. It
         shows with the next view."""
-        self._found_pose = recording, found
+        self._found = recording, found
 
-    def _found_pose_of(self, recording: str) -> ExtrinsicsEstimate | None:
-        kept = self._found_pose
+    def found_of(self, recording: str) -> "RecordedCalibration | None":
+        """What the last calibration has found, if it was of this recording."""
+        kept = self._found
         return kept[1] if kept is not None and kept[0] == recording else None
 
     def undo(self) -> None:
@@ -387,11 +391,12 @@ class ClientSession:
         labels = self._library.labels(open_recording.recording.path)
         frame_view = compute_frame_view(view, open_recording, self.raise_if_closed, labels.layer)
         review = None if self.review is None else self.review.overlay(frame_view)
+        found = self.found_of(view.recording)
         frame_view = replace(
             frame_view,
             is_dark=self._is_dark(view),
             review=review,
-            found_pose=self._found_pose_of(view.recording),
+            found_pose=None if found is None else found.calibration.estimate,
         )
         is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S
         if self._closed.is_set() or not (is_newest() or is_overdue):

@@ -78,7 +78,6 @@ class CloudCalibration:
         gui, self._camera = client.gui, client.camera
         self._node = ColoredCloudNode(client.scene)
         self._frame_view: FrameView | None = None
-        self._found: tuple[str, RecordedCalibration] | None = None
         self._drawn: tuple[object, ...] = ()
         # What the scene shows.
         self._staged: object = None
@@ -178,8 +177,7 @@ class CloudCalibration:
         self._job.close()
 
     def _own(self) -> "RecordedCalibration | None":
-        found, view = self._found, self._session.view
-        return found[1] if found is not None and found[0] == view.recording else None
+        return self._session.found_of(self._session.view.recording)
 
     def _begin(self) -> None:
         frame_view = self._frame_view
@@ -195,8 +193,8 @@ class CloudCalibration:
 
         def done(found: "RecordedCalibration") -> None:
             with self._lock:
-                self._found, self._saved = (name, found), None
-            self._session.keep_found_pose(name, found.calibration.estimate)
+                self._session.keep_found(name, found)
+                self._saved = None
             self._job.end()
 
         self._job.begin("camera calibration", work, done)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
-from fusion_core.model.extrinsics import POSE_PARAMETER_WORDS, ExtrinsicsEstimate
+from fusion_core.model.extrinsics import ExtrinsicsEstimate, parameters_in_words
 from fusion_core.model.labels import NO_LABEL
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
@@ -254,12 +254,8 @@ def _found(estimate: ExtrinsicsEstimate) -> Verdict:
     if estimate.reprojection_rms_px is not None:
         error_px = f"{estimate.reprojection_rms_px:.2f} px"
         sentence += f": pairs that were held out are {error_px} off (RMS)"
-    unknown = [
-        words
-        for words, sd in zip(POSE_PARAMETER_WORDS.values(), estimate.sd, strict=True)
-        if sd is None
-    ]
-    how_sure = f"Not observable: {', '.join(unknown)}. " if unknown else ""
+    unknown = parameters_in_words(estimate.unobservable)
+    how_sure = f"Not observable: {unknown}. " if unknown else ""
     return Verdict(
         sentence=sentence,
         detail=f"{how_sure}The evidence is below; saved as a file, the pose serves other "
