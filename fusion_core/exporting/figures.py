@@ -41,6 +41,8 @@ _STYLE = {
     "font.size": 6.5,
     "axes.titlesize": 6.5,
     "axes.titlepad": 3.0,
+    # Found anew, above all ticks of a panel, it would take a fifth of a figure's time.
+    "axes.titley": 1.0,
     "axes.labelsize": 6.0,
     "axes.labelpad": 1.5,
     "xtick.labelsize": 5.5,

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SCORE_SHADES = 16
+# What the axis of yaw takes between a field and its title: ticks, numbers and its name.
+_YAW_AXIS_PT = 18.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,7 +198,7 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
         found = f"\n✕ {panel.peak_score:.3f} ({panel.peak[0]:.1f}, {panel.peak[1]:.0f})"
     if panel.runner_up is not None:
         found += f"   ○ ({panel.runner_up[0]:.0f}, {panel.runner_up[1]:.0f})"
-    axes.set_title(title + found)
+    axes.set_title(title + found, pad=_YAW_AXIS_PT)
     axes.set_xlabel("u (samples)")
     axes.set_ylabel("v (rows)")
     _add_yaw_axis(axes, panel)
