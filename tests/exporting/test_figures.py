@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion_core.exporting import figures
 from fusion_core.exporting.figures import (
     COLUMN_IN,
     continuous_deg,
@@ -251,6 +252,16 @@ def test_the_bytes_are_the_same_whatever_the_users_settings(drawn: Path, tmp_pat
     assert len(names) == 7
     for name in names:
         assert (tmp_path / name).read_bytes() == (drawn / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_titles_stand_where_a_search_for_a_free_place_puts_them(
+    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(figures._STYLE, "axes.titley")
+    draw_all(tmp_path)
+    for path in sorted(drawn.iterdir()):
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 @pytest.mark.parametrize("number", range(3, 10))
