@@ -3,6 +3,7 @@
 import itertools
 import multiprocessing
 import multiprocessing.connection
+import multiprocessing.util
 import os
 import pickle
 import signal
@@ -32,6 +33,8 @@ _SUBMITTED_AHEAD = 4
 # For each worker: tasks whose results wait for an earlier one's, as for that of a process which is
 # still starting.
 _TAKEN_AHEAD = 4
+# Below the priorities of all else that happens at a worker's end.
+_LAST = -1000
 _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -239,12 +242,21 @@ def _died() -> WorkerFailed:
 
 def _begin() -> None:
     """The first that a worker does: an interruption is its parent's to answer, its parent's end is
-    its own, and it uses one core."""
+    its own, it uses one core, and its end is short."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Of libraries that are loaded later, and of those that are loaded already.
     os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))
     threadpool_limits(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    multiprocessing.util.Finalize(None, _end_at_once, exitpriority=_LAST)
+
+
+def _end_at_once() -> None:
+    """The last that a worker does. Python would first free, one by one, all that it has imported
+    and compiled, and its parent waits for its end."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _end_with_parent() -> None:

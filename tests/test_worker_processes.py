@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -74,6 +75,22 @@ def summed_by_both(work: tuple[Shared[list[int]], Path]) -> tuple[int, tuple[int
     values, done_at_home = work
     after_one_at_home(done_at_home)
     return sum(values.value), (os.getpid(), id(values.value))
+
+
+class LeavesMarkWhenFreed:
+    def __init__(self, mark: Path) -> None:
+        self._mark = mark
+
+    def __del__(self) -> None:
+        self._mark.touch()
+
+
+_held: list[LeavesMarkWhenFreed] = []
+
+
+def says_and_holds(mark: Path) -> None:
+    print("said by a worker")
+    _held.append(LeavesMarkWhenFreed(mark))
 
 
 def itself(value: _Value) -> _Value:
@@ -202,6 +219,16 @@ def test_no_process_stays_when_the_work_is_given_up() -> None:
     with pytest.raises(KeyboardInterrupt), WorkerPool(2) as given_up:
         list(given_up.in_order(squared, range(1000), interrupted))
     assert set(multiprocessing.active_children()) <= before
+
+
+def test_a_worker_ends_at_once_and_what_it_printed_is_not_lost(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    mark = tmp_path / "freed"
+    with WorkerPool(2) as ending:
+        ending.start(partial(says_and_holds, mark))
+    assert capfd.readouterr().out == "said by a worker\n"
+    assert not mark.exists()
 
 
 PARENT = """

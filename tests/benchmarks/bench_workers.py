@@ -5,8 +5,9 @@
 By default the built-in sample; ``--minutes`` generates recordings of that length. Each run is a
 process of its own, after one that is not counted. "rest" is all but the alignment, which one
 process does. Memory is the most that all processes held together, with the pages that they share
-counted in each. Single runs side by side share nothing: their throughput, as a multiple of one
-run's, is what the machine gives at most.
+counted in each; "of its own" leaves out those of files, most of which are libraries and shared.
+Single runs side by side share nothing: their throughput, as a multiple of one run's, is what the
+machine gives at most.
 
 A process that is spawned imports the main module of its parent: the library is imported where it is
 used, so that a worker holds what one of ``scanloom fuse`` does.
@@ -31,13 +32,13 @@ BAR_SPEED_UP, BAR_MIB_A_WORKER = 1.7, 250.0
 ROUNDS = 3
 
 
-def resident_mib(pid: int) -> float:
-    """What a process holds, 0 once it has ended."""
+def resident_mib(pid: int, kind: str) -> float:
+    """What a process holds, 0 once it has ended. ``kind``: VmRSS all, RssAnon without files."""
     try:
         status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-    _, _, rest = status.partition("VmRSS:")
+    _, _, rest = status.partition(f"{kind}:")
     return int(rest.split()[0]) / 1024.0 if rest else 0.0
 
 
@@ -47,15 +48,15 @@ def run_once(recording: Path, workers: int, *, figures: bool) -> None:
     from fusion_core.workflows.fuse.session import FuseOptions
 
     own_pid = os.getpid()
-    most_mib = 0.0
+    most_mib = dict.fromkeys(("VmRSS", "RssAnon"), 0.0)
     aligned_s = 0.0
     is_over = threading.Event()
 
     def watch() -> None:
-        nonlocal most_mib
         while not is_over.wait(0.02):
             pids = [own_pid, *(child.pid or 0 for child in multiprocessing.active_children())]
-            most_mib = max(most_mib, sum(map(resident_mib, pids)))
+            for kind, most in most_mib.items():
+                most_mib[kind] = max(most, sum(resident_mib(pid, kind) for pid in pids))
 
     def timed(*args: Any, **named: Any) -> Any:
         nonlocal aligned_s
@@ -84,7 +85,8 @@ def run_once(recording: Path, workers: int, *, figures: bool) -> None:
                 "pairs": summary.paired,
                 "align_s": aligned_s,
                 "rest_s": whole_s - aligned_s,
-                "mib": most_mib,
+                "mib": most_mib["VmRSS"],
+                "own_mib": most_mib["RssAnon"],
                 "digest": digest.hexdigest(),
             }
         )
@@ -118,15 +120,15 @@ def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> Non
     one = measured(recording, 1, rounds, figures=figures)
     many = measured(recording, workers, rounds, figures=figures)
     together_s = side_by_side_s(recording, workers, figures=figures)
-    more_mib = (many["mib"] - one["mib"]) / (workers - 1)
+    more_mib, own_mib = ((many[key] - one[key]) / (workers - 1) for key in ("mib", "own_mib"))
     print(
         f"{recording.name:24}{'with' if figures else 'no':>5} figures {one['pairs']:6} pairs   "
         f"1 worker: align {one['align_s']:6.2f} s, rest {one['rest_s']:7.2f} s, "
         f"{one['mib']:4.0f} MiB   {workers} workers: align {many['align_s']:6.2f} s, rest "
         f"{many['rest_s']:7.2f} s, {more_mib:4.0f} MiB more for each "
-        f"(at most {BAR_MIB_A_WORKER:.0f})   speed-up {one['rest_s'] / many['rest_s']:.2f} "
-        f"(bar {BAR_SPEED_UP}; as many single runs side by side: "
-        f"{workers * one['rest_s'] / together_s:.2f})   "
+        f"(at most {BAR_MIB_A_WORKER:.0f}; {own_mib:.0f} of its own)   "
+        f"speed-up {one['rest_s'] / many['rest_s']:.2f} (bar {BAR_SPEED_UP}; "
+        f"as many single runs side by side: {workers * one['rest_s'] / together_s:.2f})   "
         f"same bytes: {one['digest'] == many['digest']}",
         flush=True,
     )
