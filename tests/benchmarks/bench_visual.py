@@ -184,6 +184,14 @@ CUTS: dict[str, Callable[[list], list]] = {
 }
 
 
+class FrameList(list[RgbdFrame]):
+    """Frames in memory, as ``register_colors`` takes them."""
+
+    @property
+    def image_count(self) -> int:
+        return len(self)
+
+
 def print_cuts() -> None:
     """The error over parts of the images, each with a map and a zoom of its own."""
     images = read_images("seven_scenes")
@@ -191,7 +199,9 @@ def print_cuts() -> None:
     print(f"{'images':14} {'poses':>9} {'ATE RMSE (m)':>13} {'zoom of colour':>14}")
     for name, cut in CUTS.items():
         part = cut(both)
-        frames = [replace(frame, stamp_ns=33_333_333 * k) for k, (frame, _) in enumerate(part)]
+        frames = FrameList(
+            replace(frame, stamp_ns=33_333_333 * k) for k, (frame, _) in enumerate(part)
+        )
         registered = register_colors(frames, images.intrinsics, VisualSlamSettings())
         result = run_slam(registered, images.intrinsics)
         tracked = result.is_tracked

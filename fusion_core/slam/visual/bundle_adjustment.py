@@ -118,9 +118,12 @@ def adjust_bundle(problem: BundleProblem, iterations: int, rounds: int = 2) -> B
 
 @compiled(nogil=True)
 def _residual(
-    T: FloatArray,
-    point: FloatArray,
-    pixel: FloatArray,
+    poses: FloatArray,
+    k: int,
+    points: FloatArray,
+    landmark: int,
+    pixels: FloatArray,
+    o: int,
     depth: float,
     sigma: float,
     inverse_depth_sigma: float,
@@ -129,13 +132,15 @@ def _residual(
     p: FloatArray,
 ) -> bool:
     """Normalised errors into ``r`` (3,), the point before the camera into ``p`` (3,); whether it
-    lies before it."""
+    lies before it. What is of one keyframe, landmark and observation is given by its row: to make
+    views of the rows takes as long as the rest."""
+    x, y, z = points[landmark, 0], points[landmark, 1], points[landmark, 2]
     for i in range(3):
-        p[i] = T[i, 0] * point[0] + T[i, 1] * point[1] + T[i, 2] * point[2] + T[i, 3]
+        p[i] = poses[k, i, 0] * x + poses[k, i, 1] * y + poses[k, i, 2] * z + poses[k, i, 3]
     if p[2] < 0.01:
         return False
-    r[0] = (camera[0] * p[0] / p[2] + camera[2] - pixel[0]) / sigma
-    r[1] = (camera[1] * p[1] / p[2] + camera[3] - pixel[1]) / sigma
+    r[0] = (camera[0] * p[0] / p[2] + camera[2] - pixels[o, 0]) / sigma
+    r[1] = (camera[1] * p[1] / p[2] + camera[3] - pixels[o, 1]) / sigma
     r[2] = 0.0 if np.isnan(depth) else (1.0 / p[2] - 1.0 / depth) / inverse_depth_sigma
     return True
 
@@ -163,9 +168,12 @@ def _cost(
                 continue
             limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
             if not _residual(
-                poses[keyframes[o]],
-                points[landmark],
-                pixels[o],
+                poses,
+                keyframes[o],
+                points,
+                landmark,
+                pixels,
+                o,
                 depths[o],
                 sigmas[o],
                 inverse_depth_sigma,
@@ -209,11 +217,11 @@ def _adjust(
     inlier = np.ones(observations, np.bool_)
     unknowns = 6 * (free.max() + 1)
     cross = np.zeros((observations, 6, 3))
-    inverses = np.zeros((landmarks, 3, 3))
+    Hll, inverses = np.zeros((landmarks, 3, 3)), np.zeros((landmarks, 3, 3))
     gradients = np.zeros((landmarks, 3))
-    r, p = np.zeros(3), np.zeros(3)
-    Jp, Jl = np.zeros((3, 6)), np.zeros((3, 3))
-    WH = np.zeros((6, 3))
+    r, p, g = np.zeros(3), np.zeros(3), np.zeros(3)
+    Q, QR, moments = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    V, inverse, WH = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((6, 3))
     first_cost = -1.0
     cost = 0.0
     for _ in range(rounds):
@@ -226,73 +234,93 @@ def _adjust(
         if first_cost < 0.0:
             first_cost = cost
         for _ in range(iterations):
-            # The blocks of the normal equations, undamped; S holds those of the poses.
+            # The blocks of the normal equations, undamped; S0 holds those of the poses.
             S0 = np.zeros((unknowns, unknowns))
             b0 = np.zeros(unknowns)
-            Hll = np.zeros((landmarks, 3, 3))
+            diagonal = np.zeros((unknowns // 6, 6, 6))
             for landmark in range(landmarks):
-                gradients[landmark] = 0.0
+                for i in range(3):
+                    gradients[landmark, i] = 0.0
+                    for j in range(3):
+                        Hll[landmark, i, j] = 0.0
                 for o in range(starts[landmark], starts[landmark + 1]):
-                    cross[o] = 0.0
                     k = keyframes[o]
                     if not inlier[o] or not _residual(
-                        poses[k], points[landmark], pixels[o], depths[o], sigmas[o],
+                        poses, k, points, landmark, pixels, o, depths[o], sigmas[o],
                         inverse_depth_sigma, camera, r, p,
                     ):  # fmt: skip
+                        for i in range(6):
+                            for j in range(3):
+                                cross[o, i, j] = 0.0
                         continue
                     has_depth = not np.isnan(depths[o])
                     chi2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
                     limit = chi2_depth if has_depth else chi2_pixel
                     weight = 1.0 if chi2 <= limit else np.sqrt(limit / chi2)
-                    x, y, z = p[0], p[1], p[2]
-                    iz, w = 1.0 / z, 1.0 / sigmas[o]
-                    a, b = fx * iz * w, -fx * x * iz * iz * w
-                    c, d = fy * iz * w, -fy * y * iz * iz * w
+                    # By a motion of p, the point before the camera, r changes by
+                    # A = [a, 0, b; 0, c, d; 0, 0, e]. By one of the landmark p moves by R, by one
+                    # of the camera by [-p x, I]: all blocks are products of these with Q = A' A.
+                    iz, w = 1.0 / p[2], 1.0 / sigmas[o]
+                    a, b = fx * iz * w, -fx * p[0] * iz * iz * w
+                    c, d = fy * iz * w, -fy * p[1] * iz * iz * w
                     e = -iz * iz / inverse_depth_sigma if has_depth else 0.0
-                    T = poses[k]
-                    for j in range(3):
-                        Jl[0, j] = a * T[0, j] + b * T[2, j]
-                        Jl[1, j] = c * T[1, j] + d * T[2, j]
-                        Jl[2, j] = e * T[2, j]
+                    Q[0, 0], Q[1, 1] = weight * a * a, weight * c * c
+                    Q[2, 2] = weight * (b * b + d * d + e * e)
+                    Q[0, 2] = Q[2, 0] = weight * a * b
+                    Q[1, 2] = Q[2, 1] = weight * c * d
+                    g[0], g[1] = weight * a * r[0], weight * c * r[1]
+                    g[2] = weight * (b * r[0] + d * r[1] + e * r[2])
                     for i in range(3):
-                        for m in range(3):
-                            gradients[landmark, i] += weight * Jl[m, i] * r[m]
-                            for j in range(3):
-                                Hll[landmark, i, j] += weight * Jl[m, i] * Jl[m, j]
-                    row = 6 * free[k]
-                    if row < 0:
+                        x, y, z = poses[k, 0, i], poses[k, 1, i], poses[k, 2, i]
+                        QR[0, i] = Q[0, 0] * x + Q[0, 2] * z
+                        QR[1, i] = Q[1, 1] * y + Q[1, 2] * z
+                        QR[2, i] = Q[2, 0] * x + Q[2, 1] * y + Q[2, 2] * z
+                        gradients[landmark, i] += x * g[0] + y * g[1] + z * g[2]
+                        # The lower half alone, as the columns of QR come one by one.
+                        for j in range(i + 1):
+                            Hll[landmark, i, j] += x * QR[0, j] + y * QR[1, j] + z * QR[2, j]
+                    if free[k] < 0:
                         continue
-                    Jp[0, 0], Jp[0, 1], Jp[0, 2] = b * y, a * z - b * x, -a * y
-                    Jp[0, 3], Jp[0, 4], Jp[0, 5] = a, 0.0, b
-                    Jp[1, 0], Jp[1, 1], Jp[1, 2] = -c * z + d * y, -d * x, c * x
-                    Jp[1, 3], Jp[1, 4], Jp[1, 5] = 0.0, c, d
-                    Jp[2, 0], Jp[2, 1], Jp[2, 2] = e * y, -e * x, 0.0
-                    Jp[2, 3], Jp[2, 4], Jp[2, 5] = 0.0, 0.0, e
-                    for i in range(6):
-                        for m in range(3):
-                            wj = weight * Jp[m, i]
-                            b0[row + i] += wj * r[m]
-                            for j in range(6):
-                                S0[row + i, row + j] += wj * Jp[m, j]
-                            for j in range(3):
-                                cross[o, i, j] += wj * Jl[m, j]
+                    f, row = free[k], 6 * free[k]
+                    for i in range(3):
+                        n, m = (i + 1) % 3, (i + 2) % 3
+                        b0[row + i] += p[n] * g[m] - p[m] * g[n]
+                        b0[row + 3 + i] += g[i]
+                        for j in range(3):
+                            cross[o, i, j] = p[n] * QR[m, j] - p[m] * QR[n, j]
+                            cross[o, 3 + i, j] = QR[i, j]
+                            moments[i, j] = p[n] * Q[m, j] - p[m] * Q[n, j]
+                    for i in range(3):
+                        n, m = (i + 1) % 3, (i + 2) % 3
+                        for j in range(3):
+                            diagonal[f, j, i] += p[n] * moments[j, m] - p[m] * moments[j, n]
+                            diagonal[f, i, 3 + j] += moments[i, j]
+                            diagonal[f, 3 + i, 3 + j] += Q[i, j]
+            for k in range(len(diagonal)):
+                for i in range(6):
+                    for j in range(6):
+                        lower, upper = min(i, j), max(i, j)
+                        S0[6 * k + i, 6 * k + j] = diagonal[k, lower, upper]
             add_alignments(poses, free, pairs, T_second_first, information, S0, b0)
             accepted = False
             gain = 0.0
             while not accepted and damping <= damping_max:
-                S, b = S0.copy(), b0.copy()
+                S, b_reduced = S0.copy(), b0.copy()
                 for i in range(unknowns):
                     S[i, i] += damping * S0[i, i] + 1e-12
+                # What the landmarks take from each pair of keyframes; the upper half alone.
+                taken = np.zeros((unknowns // 6, unknowns // 6, 6, 6))
                 for landmark in range(landmarks):
                     first, last = starts[landmark], starts[landmark + 1]
-                    V = Hll[landmark].copy()
                     for i in range(3):
+                        for j in range(3):
+                            V[i, j] = Hll[landmark, max(i, j), min(i, j)]
                         V[i, i] += damping * V[i, i] + 1e-9
-                    inverse = inverses[landmark]
                     _invert(V, inverse)
+                    inverses[landmark] = inverse
                     for o in range(first, last):
-                        row = 6 * free[keyframes[o]]
-                        if row < 0 or not inlier[o]:
+                        place = free[keyframes[o]]
+                        if place < 0 or not inlier[o]:
                             continue
                         for i in range(6):
                             for j in range(3):
@@ -301,24 +329,26 @@ def _adjust(
                                     + cross[o, i, 1] * inverse[1, j]
                                     + cross[o, i, 2] * inverse[2, j]
                                 )
-                            for j in range(3):
-                                b[row + i] -= WH[i, j] * gradients[landmark, j]
+                            b_reduced[6 * place + i] -= (
+                                WH[i, 0] * gradients[landmark, 0]
+                                + WH[i, 1] * gradients[landmark, 1]
+                                + WH[i, 2] * gradients[landmark, 2]
+                            )
                         for q in range(first, last):
-                            column = 6 * free[keyframes[q]]
-                            # The upper half alone: the other is its mirror image.
-                            if column < row or not inlier[q]:
+                            other = free[keyframes[q]]
+                            if other < place or not inlier[q]:
                                 continue
                             for i in range(6):
+                                x, y, z = WH[i, 0], WH[i, 1], WH[i, 2]
                                 for j in range(6):
-                                    S[row + i, column + j] -= (
-                                        WH[i, 0] * cross[q, j, 0]
-                                        + WH[i, 1] * cross[q, j, 1]
-                                        + WH[i, 2] * cross[q, j, 2]
+                                    taken[place, other, i, j] += (
+                                        x * cross[q, j, 0] + y * cross[q, j, 1] + z * cross[q, j, 2]
                                     )
                 for i in range(unknowns):
-                    for j in range(i):
-                        S[i, j] = S[j, i]
-                step = np.linalg.solve(S, -b)
+                    for j in range(i, unknowns):
+                        S[i, j] -= taken[i // 6, j // 6, i % 6, j % 6]
+                        S[j, i] = S[i, j]
+                step = np.linalg.solve(S, -b_reduced)
                 new_poses, new_points = poses.copy(), points.copy()
                 for k in range(len(free)):
                     if free[k] >= 0:
@@ -327,7 +357,7 @@ def _adjust(
                         )
                         orthonormalise(new_poses[k])
                 for landmark in range(landmarks):
-                    g = gradients[landmark].copy()
+                    g[:] = gradients[landmark]
                     for o in range(starts[landmark], starts[landmark + 1]):
                         row = 6 * free[keyframes[o]]
                         if row < 0 or not inlier[o]:
@@ -357,7 +387,7 @@ def _adjust(
                 limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
                 inlier[o] = (
                     _residual(
-                        poses[keyframes[o]], points[landmark], pixels[o], depths[o], sigmas[o],
+                        poses, keyframes[o], points, landmark, pixels, o, depths[o], sigmas[o],
                         inverse_depth_sigma, camera, r, p,
                     )
                     and r[0] * r[0] + r[1] * r[1] + r[2] * r[2] <= limit

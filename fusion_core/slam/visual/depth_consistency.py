@@ -110,7 +110,7 @@ def _count_before(
     for k in range(len(points)):
         if np.isnan(points[k, 2]):
             continue
-        row, column = find_block(points[k], T, camera, height, width, p)
+        row, column = find_block(points, k, T, camera, height, width, p)
         if row < 0:
             continue
         n, q = target_normals[row, column], target_points[row, column]

@@ -82,19 +82,21 @@ class SurfaceSampler:
 
 @compiled(nogil=True)
 def find_block(
-    point: FloatArray,
+    points: FloatArray,
+    k: int,
     T: FloatArray,
     camera: FloatArray,
     height: int,
     width: int,
     moved: FloatArray,
 ) -> tuple[int, int]:
-    """Row and column of the block of another surface that shows a point, (3,), -1 where none does.
-    ``moved`` becomes the point there, by ``T``, (4, 4)."""
+    """Row and column of the block of another surface that shows a point, row ``k`` of (N, 3), -1
+    where none does. ``moved`` becomes the point there, by ``T``, (4, 4)."""
+    # No view of a single row in what is called for each block: making one takes as long as its use.
     for i in range(3):
         moved[i] = T[i, 3]
         for j in range(3):
-            moved[i] += T[i, j] * point[j]
+            moved[i] += T[i, j] * points[k, j]
     if moved[2] < _NEAREST_M:
         return -1, -1
     column = int(np.rint(camera[0] * moved[0] / moved[2] + camera[2]))

@@ -1,8 +1,11 @@
 """ORB features spread evenly over the image, with the depth below each."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
+from fusion_core.compiled import compiled
 from fusion_core.lens.undistortion import straight_pixels
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 from fusion_core.model.rgbd_frame import RgbdFrame
@@ -62,14 +65,14 @@ class FeatureExtractor:
     def extract(self, frame: RgbdFrame) -> FrameFeatures:
         """The features of an image, by falling response within each level; none may be found."""
         found = self._orb.detect(frame.gray, None)
-        pixels: Float32Array = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
+        pixels = _pixels_of(found)
         responses = np.array([point.response for point in found], np.float64)
         octaves = np.array([point.octave for point in found], np.int64)
         kept = self._spread_evenly(pixels, responses, octaves)
         keypoints, descriptors = self._orb.compute(frame.gray, [found[i] for i in kept.tolist()])
         if descriptors is None or not keypoints:
             return no_features()
-        pixels = np.array([point.pt for point in keypoints], np.float32)
+        pixels = _pixels_of(keypoints)
         straight = straight_pixels(pixels, self._intrinsics)
         is_shown = np.isfinite(straight[:, 0])
         depths_m = sample_depths_m(frame, pixels)
@@ -98,6 +101,11 @@ class FeatureExtractor:
         return np.concatenate(kept)
 
 
+def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> Float32Array:
+    """(N, 2) places of N keypoints."""
+    return np.asarray(cv2.KeyPoint.convert(keypoints), np.float32).reshape(-1, 2)
+
+
 def spread_evenly(pixels: Float32Array, count: int) -> IntArray:
     """(K,) at most ``count`` of the (N, 2) pixels, which are given strongest first, ascending.
 
@@ -110,7 +118,7 @@ def spread_evenly(pixels: Float32Array, count: int) -> IntArray:
     kept = np.zeros(1, np.int64)
     for _ in range(_CELL_SEARCH_STEPS):
         side = 0.5 * (low + high)
-        first = _first_of_cells(pixels, side)
+        first = _first_of_cells(pixels, np.float32(side))
         if len(first) <= count:
             kept, high = first, side
         else:
@@ -121,7 +129,18 @@ def spread_evenly(pixels: Float32Array, count: int) -> IntArray:
     return np.sort(np.concatenate([kept, rest]))
 
 
-def _first_of_cells(pixels: Float32Array, side: float) -> IntArray:
-    cells = np.floor(pixels / side).astype(np.int64)
-    _, first = np.unique(cells[:, 0] + (cells[:, 1] << 32), return_index=True)
-    return np.asarray(first, np.int64)
+@compiled(nogil=True)
+def _first_of_cells(pixels: Float32Array, side: np.float32) -> IntArray:
+    """The first of the (N, 2) pixels in each square cell."""
+    columns, rows = np.floor(pixels[:, 0] / side), np.floor(pixels[:, 1] / side)
+    across = int(columns.max()) + 1
+    is_taken = np.zeros(across * (int(rows.max()) + 1), np.bool_)
+    first = np.empty(len(pixels), np.int64)
+    count = 0
+    for k in range(len(pixels)):
+        cell = int(rows[k]) * across + int(columns[k])
+        if not is_taken[cell]:
+            is_taken[cell] = True
+            first[count] = k
+            count += 1
+    return first[:count]

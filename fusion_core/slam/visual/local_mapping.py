@@ -282,19 +282,24 @@ class LocalMapping:
         seen = np.flatnonzero(keyframe.landmarks != NO_LANDMARK)
         if not len(seen):
             return True
+        enough = _REDUNDANT_FRACTION * len(seen)
+        counts = visual_map.observer_counts(keyframe.landmarks[seen])
+        # It is one of them.
+        is_candidate = counts > _REDUNDANT_OBSERVERS
+        # Most keyframes are told by the counts alone.
+        if np.count_nonzero(is_candidate) <= enough:
+            return False
         redundant = 0
-        for feature in seen.tolist():
+        for feature in seen[is_candidate].tolist():
             octave = keyframe.features.octaves[feature] + 1
             others = visual_map.observers_of(int(keyframe.landmarks[feature]))
-            others.pop(keyframe.index, None)
-            if len(others) < _REDUNDANT_OBSERVERS:
-                continue
+            del others[keyframe.index]
             as_fine = sum(
                 bool(visual_map.keyframes[other].features.octaves[by] <= octave)
                 for other, by in others.items()
             )
             redundant += as_fine >= _REDUNDANT_OBSERVERS
-        return redundant > _REDUNDANT_FRACTION * len(seen)
+        return redundant > enough
 
 
 def new_landmarks(

@@ -21,6 +21,8 @@ _UNMEASURED_VARIANCE = 1e12
 _HUBER = 2.5
 _ROUNDS = 3
 _STEPS = 4
+# A step below so many of the pose's standard deviations changes nothing.
+_STEP_MIN = 1e-3
 _DEPTH_MIN_M = 0.05
 _INLIERS_MIN = 4
 
@@ -89,6 +91,8 @@ def refine_relative_pose(
             if step is None:
                 return None
             T = T @ small_motion(step[0])
+            if step[0] @ step[1] @ step[0] < _STEP_MIN**2:
+                break
         chi2, degrees = _mahalanobis(first, second, intrinsics, T)
         is_inlier = chi2 < _limits(degrees)
     step = _gauss_newton(first, second, intrinsics, T, is_inlier)
@@ -144,9 +148,9 @@ def _gauss_newton(
     # NaN never weighs: of what lies behind the camera.
     weight = np.where(is_inlier, _HUBER / np.maximum(size, _HUBER), 0.0)
     used = np.flatnonzero(weight > 0.0)
-    J, r, w = jacobian[used], whitened[used], weight[used]
-    information = np.einsum("m,mij,mik->jk", w, J, J)
-    gradient = np.einsum("m,mij,mi->j", w, J, r)
+    J, r = jacobian[used].reshape(-1, 6), whitened[used].reshape(-1)
+    weighted = J * np.repeat(weight[used], 3)[:, np.newaxis]
+    information, gradient = weighted.T @ J, weighted.T @ r
     try:
         step = -np.linalg.solve(information, gradient)
     except np.linalg.LinAlgError:
@@ -231,15 +235,31 @@ def _residuals(
     covariance[:, 2, 2] += target.inverse_depth_sigma**2
     covariance[~has_depth, 2, :] = covariance[~has_depth, :, 2] = 0.0
     covariance[~has_depth, 2, 2] = _UNMEASURED_VARIANCE
-    root = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(root, residual[:, :, np.newaxis])[:, :, 0]
+    white = _whiten(covariance, np.concatenate([residual[:, :, np.newaxis], by_point], axis=2))
+    whitened, by_point = white[:, :, 0], white[:, :, 1:]
     # What is behind the camera cannot be seen: no inlier, and without a derivative.
     whitened[~is_ahead] = np.inf
-    return (
-        whitened,
-        np.linalg.solve(root, by_point),
-        np.where(is_ahead, np.where(has_depth, 3.0, 2.0), 0.0),
-    )
+    return whitened, by_point, np.where(is_ahead, np.where(has_depth, 3.0, 2.0), 0.0)
+
+
+def _whiten(covariances: FloatArray, columns: FloatArray) -> FloatArray:
+    """(N, 3, C) columns, each divided by the Cholesky root of its covariance, (N, 3, 3).
+
+    Written out, since numpy calls LAPACK for each small matrix.
+    """
+    c = covariances
+    l00 = np.sqrt(c[:, 0, 0])
+    l10, l20 = c[:, 1, 0] / l00, c[:, 2, 0] / l00
+    l11 = np.sqrt(c[:, 1, 1] - l10 * l10)
+    l21 = (c[:, 2, 1] - l20 * l10) / l11
+    l22 = np.sqrt(c[:, 2, 2] - l20 * l20 - l21 * l21)
+    white = np.empty_like(columns)
+    white[:, 0] = columns[:, 0] / l00[:, np.newaxis]
+    white[:, 1] = (columns[:, 1] - l10[:, np.newaxis] * white[:, 0]) / l11[:, np.newaxis]
+    white[:, 2] = (
+        columns[:, 2] - l20[:, np.newaxis] * white[:, 0] - l21[:, np.newaxis] * white[:, 1]
+    ) / l22[:, np.newaxis]
+    return white
 
 
 def _skew(vectors: FloatArray) -> FloatArray:
