@@ -110,6 +110,12 @@ def png_figure(path: Path, heading: str, *, height_in: float) -> Iterator["Figur
     write_bytes(path, png.tobytes())
 
 
+def leave_margin(figure: "Figure", part: float) -> None:
+    """Keep this part of a figure's width free on either side."""
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(part, 0.0, 1.0 - 2.0 * part, 1.0))
+
+
 def _freeze_layout(figure: "Figure") -> None:
     """Lay out parts and panels once and round their positions: the layout's solver orders its terms
     by memory address, so that its last digits differ between runs."""

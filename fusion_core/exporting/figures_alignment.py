@@ -16,6 +16,7 @@ from fusion_core.exporting.figures import (
     far_limit_m,
     format_stamp,
     label_azimuth,
+    leave_margin,
     png_figure,
     show_color,
     show_depth,
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 _SCORE_SHADES = 16
 # What the axis of yaw takes between a field and its title: ticks, numbers and its name.
 _YAW_AXIS_PT = 18.0
+# Of the width: numbers of the outermost scales reach some pixels beyond where the layout puts them.
+_FIELD_MARGIN = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +150,7 @@ def write_similarity(
     ``mean_of``: what the recording's mean field is the mean of ("90 frames").
     """
     with png_figure(path, heading, height_in=5.2) as figure:
+        leave_margin(figure, _FIELD_MARGIN)
         parts = figure.subfigures(2, 1, height_ratios=(2.0, 1.0), squeeze=False)
         above, below = parts[:, 0]
         fields = above.subplots(2, len(columns), squeeze=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -216,6 +217,14 @@ def test_maps_stand_beside_the_map_of_the_true_ranges(run: SimpleNamespace) -> N
 def test_no_picture_is_large(run: SimpleNamespace) -> None:
     sizes = {path.name: path.stat().st_size for path in (run.output / "figures").iterdir()}
     assert max(sizes.values()) < 330 * 1024, sizes
+
+
+def test_nothing_is_cut_at_the_edge_of_a_sheet(run: SimpleNamespace) -> None:
+    for name in PICTURES:
+        picture = cv2.imread(str(run.output / "figures" / name))
+        assert picture is not None
+        edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+        assert (edge == 255).all(), name
 
 
 def test_table_1_counts_every_paired_frame_once(run: SimpleNamespace) -> None:
