@@ -15,8 +15,8 @@ from fusion_core.slam.visual.depth_surface import DepthSurface, find_block
 from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
 
 # How many standard deviations a pair may be off: wide for the start's error first. Each gate's
-# iterations, at most, end with a step below so many of the pose's own standard deviations: what the
-# first leaves is the second's to correct.
+# iterations, at most, end with a step below so many of the pose's own standard deviations. What the
+# first leaves is the second's to correct, and so it takes every fourth block alone.
 _GATES = (10.0, 3.0)
 _STEPS_MIN = (1.0, 0.1)
 _STRIDES = (4, 1)
