@@ -235,7 +235,7 @@ class _VisualOdometry:
         keypoints, descriptors = self._orb.detectAndCompute(frame.gray, None)
         if descriptors is None or len(keypoints) < self._settings.inliers_min:
             return "too few features"
-        pixels = np.array([point.pt for point in keypoints], dtype=np.float32)
+        pixels = np.asarray(cv2.KeyPoint.convert(keypoints), np.float32)
         depth_m = sample_depths_m(frame, pixels)
         settings = self._settings
         # NaN compares false.

@@ -13,13 +13,13 @@ from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.slam.visual.alignment_factors import add_alignments, alignment_cost
 from fusion_core.slam.visual.bundle_equations import (
+    OrderedObservations,
     add_observations,
     eliminate_landmarks,
-    residual,
     robust_cost,
+    tell_outliers,
 )
 from fusion_core.slam.visual.keyframes import DepthAlignment
-from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
 from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
 
 _DAMPING_START = 1e-6
@@ -93,30 +93,32 @@ def adjust_bundle(problem: BundleProblem, iterations: int, rounds: int = 2) -> B
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     free = np.full(len(problem.is_fixed), -1, np.int64)
     free[~problem.is_fixed] = np.arange(np.count_nonzero(~problem.is_fixed))
-    poses, points, inlier, before, after = _adjust(
+    seen = OrderedObservations(
+        starts=starts,
+        keyframes=problem.keyframes[order],
+        pixels=problem.pixels[order].astype(np.float64),
+        depths_m=problem.depths_m[order],
+        pixel_sigmas=problem.pixel_sigmas[order],
+        is_inlier=np.ones(len(order), np.bool_),
+        camera=problem.camera,
+        depth_sigma_per_m2=problem.depth_sigma_per_m2,
+    )
+    poses, points, before, after = _adjust(
         np.array(problem.T_camera_map, np.float64),
         free,
         np.array(problem.points_in_map_m, np.float64),
-        starts,
-        problem.keyframes[order],
-        problem.pixels[order].astype(np.float64),
-        problem.depths_m[order],
-        problem.pixel_sigmas[order],
-        problem.camera,
-        problem.depth_sigma_per_m2,
+        seen,
         np.array([(a.first, a.second) for a in problem.alignments], np.int64).reshape(-1, 2),
         np.array([a.T_second_first for a in problem.alignments]).reshape(-1, 4, 4),
         np.array([a.information for a in problem.alignments]).reshape(-1, 6, 6),
         iterations,
         rounds,
-        CHI2_PIXEL,
-        CHI2_DEPTH,
         _DAMPING_START,
         _DAMPING_MAX,
         _COST_TOLERANCE,
     )
     is_inlier = np.empty(len(order), np.bool_)
-    is_inlier[order] = inlier
+    is_inlier[order] = seen.is_inlier
     return BundleResult(
         T_camera_map=poses, points_in_map_m=points, is_inlier=is_inlier, cost=(before, after)
     )
@@ -127,49 +129,36 @@ def _adjust(
     poses: FloatArray,
     free: IntArray,
     points: FloatArray,
-    starts: IntArray,
-    keyframes: IntArray,
-    pixels: FloatArray,
-    depths: FloatArray,
-    sigmas: FloatArray,
-    camera: FloatArray,
-    inverse_depth_sigma: float,
+    seen: OrderedObservations,
     pairs: IntArray,
     T_second_first: FloatArray,
     information: FloatArray,
     iterations: int,
     rounds: int,
-    chi2_pixel: float,
-    chi2_depth: float,
     damping_start: float,
     damping_max: float,
     cost_tolerance: float,
-) -> tuple[FloatArray, FloatArray, BoolArray, float, float]:
+) -> tuple[FloatArray, FloatArray, float, float]:
+    """The poses, the points, and the cost before and after; ``seen.is_inlier`` is written."""
+    starts, keyframes, is_inlier = seen.starts, seen.keyframes, seen.is_inlier
     observations, landmarks = len(keyframes), len(points)
-    inlier = np.ones(observations, np.bool_)
     unknowns = 6 * (free.max() + 1)
     cross = np.zeros((observations, 6, 3))
     Hll, inverses = np.zeros((landmarks, 3, 3)), np.zeros((landmarks, 3, 3))
     gradients = np.zeros((landmarks, 3))
-    r, p, g = np.zeros(3), np.zeros(3), np.zeros(3)
+    g = np.zeros(3)
     first_cost = -1.0
     cost = 0.0
     for _ in range(rounds):
         damping = damping_start
-        cost = robust_cost(
-            poses, points, starts, keyframes, pixels, depths, sigmas, inlier, camera,
-            inverse_depth_sigma, chi2_pixel, chi2_depth,
-        )  # fmt: skip
+        cost = robust_cost(poses, points, seen)
         cost += alignment_cost(poses, pairs, T_second_first, information)
         if first_cost < 0.0:
             first_cost = cost
         for _ in range(iterations):
             # The blocks of the normal equations, undamped; S0 holds those of the poses.
             S0, b0 = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-            add_observations(
-                poses, free, points, starts, keyframes, pixels, depths, sigmas, inlier, camera,
-                inverse_depth_sigma, chi2_pixel, chi2_depth, S0, b0, cross, Hll, gradients,
-            )  # fmt: skip
+            add_observations(poses, free, points, seen, S0, b0, cross, Hll, gradients)
             add_alignments(poses, free, pairs, T_second_first, information, S0, b0)
             accepted = False
             gain = 0.0
@@ -177,9 +166,7 @@ def _adjust(
                 S, b = S0.copy(), b0.copy()
                 for i in range(unknowns):
                     S[i, i] += damping * S0[i, i] + 1e-12
-                eliminate_landmarks(
-                    free, starts, keyframes, inlier, cross, Hll, gradients, damping, S, b, inverses
-                )
+                eliminate_landmarks(free, seen, cross, Hll, gradients, damping, S, b, inverses)
                 step = np.linalg.solve(S, -b)
                 new_poses, new_points = poses.copy(), points.copy()
                 for k in range(len(free)):
@@ -192,7 +179,7 @@ def _adjust(
                     g[:] = gradients[landmark]
                     for o in range(starts[landmark], starts[landmark + 1]):
                         row = 6 * free[keyframes[o]]
-                        if row < 0 or not inlier[o]:
+                        if row < 0 or not is_inlier[o]:
                             continue
                         for j in range(3):
                             for i in range(6):
@@ -200,10 +187,7 @@ def _adjust(
                     for i in range(3):
                         for j in range(3):
                             new_points[landmark, i] -= inverses[landmark, i, j] * g[j]
-                new_cost = robust_cost(
-                    new_poses, new_points, starts, keyframes, pixels, depths, sigmas, inlier,
-                    camera, inverse_depth_sigma, chi2_pixel, chi2_depth,
-                )  # fmt: skip
+                new_cost = robust_cost(new_poses, new_points, seen)
                 new_cost += alignment_cost(new_poses, pairs, T_second_first, information)
                 if new_cost <= cost:
                     gain = cost - new_cost
@@ -214,14 +198,5 @@ def _adjust(
                     damping *= 10.0
             if not accepted or gain <= cost_tolerance * cost:
                 break
-        for landmark in range(landmarks):
-            for o in range(starts[landmark], starts[landmark + 1]):
-                limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
-                inlier[o] = (
-                    residual(
-                        poses, keyframes[o], points, landmark, pixels, o, depths[o], sigmas[o],
-                        inverse_depth_sigma, camera, r, p,
-                    )
-                    and r[0] * r[0] + r[1] * r[1] + r[2] * r[2] <= limit
-                )  # fmt: skip
-    return poses, points, inlier, first_cost, cost
+        tell_outliers(poses, points, seen)
+    return poses, points, first_cost, cost

@@ -1,34 +1,62 @@
 """The observations of a bundle adjustment: their errors, and their normal equations.
 
-Observations are ordered by landmark: those of landmark l go from ``starts[l]`` up to, and without,
-``starts[l + 1]``.
-A small motion acts on T_camera_map from the left.
+A small motion acts on T_camera_map from the left. What is called for each observation is given
+arrays and the numbers of rows: to make a view of a row, or to take an array out of a tuple, takes
+as long as its use.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
+
+
+class OrderedObservations(NamedTuple):
+    """O observations as compiled functions take them, ordered by landmark: those of landmark l go
+    from ``starts[l]`` up to, and without, ``starts[l + 1]``.
+
+    ``starts``: (L + 1,). Of each observation: ``keyframes``: (O,) rows of the poses; ``pixels``:
+    (O, 2); ``depths_m``: (O,), NaN where missing; ``pixel_sigmas``: (O,); ``is_inlier``: (O,), the
+    one that is written. ``camera``: (4,) fx, fy, cx, cy. ``depth_sigma_per_m2``: see
+    ``ObservationNoise``.
+    """
+
+    starts: IntArray
+    keyframes: IntArray
+    pixels: FloatArray
+    depths_m: FloatArray
+    pixel_sigmas: FloatArray
+    is_inlier: BoolArray
+    camera: FloatArray
+    depth_sigma_per_m2: float
 
 
 @compiled(nogil=True)
-def residual(
+def _chi2_limit(depth_m: float) -> float:
+    """Of an inlier's squared, normalised error, with a depth or without (NaN)."""
+    return CHI2_PIXEL if np.isnan(depth_m) else CHI2_DEPTH
+
+
+@compiled(nogil=True)
+def _residual(
     poses: FloatArray,
     k: int,
     points: FloatArray,
     landmark: int,
     pixels: FloatArray,
     o: int,
-    depth: float,
+    depth_m: float,
     sigma: float,
-    inverse_depth_sigma: float,
+    depth_sigma_per_m2: float,
     camera: FloatArray,
     r: FloatArray,
     p: FloatArray,
 ) -> bool:
-    """Normalised errors into ``r`` (3,), the point before the camera into ``p`` (3,); whether it
-    lies before it. What is of one keyframe, landmark and observation is given by its row: to make
-    views of the rows takes as long as the rest."""
+    """Normalised errors of observation ``o``, of a ``landmark`` by keyframe ``k``, into ``r`` (3,),
+    the point before the camera into ``p`` (3,); whether it lies before it."""
     x, y, z = points[landmark, 0], points[landmark, 1], points[landmark, 2]
     for i in range(3):
         p[i] = poses[k, i, 0] * x + poses[k, i, 1] * y + poses[k, i, 2] * z + poses[k, i, 3]
@@ -36,47 +64,25 @@ def residual(
         return False
     r[0] = (camera[0] * p[0] / p[2] + camera[2] - pixels[o, 0]) / sigma
     r[1] = (camera[1] * p[1] / p[2] + camera[3] - pixels[o, 1]) / sigma
-    r[2] = 0.0 if np.isnan(depth) else (1.0 / p[2] - 1.0 / depth) / inverse_depth_sigma
+    r[2] = 0.0 if np.isnan(depth_m) else (1.0 / p[2] - 1.0 / depth_m) / depth_sigma_per_m2
     return True
 
 
 @compiled(nogil=True)
-def robust_cost(
-    poses: FloatArray,
-    points: FloatArray,
-    starts: IntArray,
-    keyframes: IntArray,
-    pixels: FloatArray,
-    depths: FloatArray,
-    sigmas: FloatArray,
-    inlier: BoolArray,
-    camera: FloatArray,
-    inverse_depth_sigma: float,
-    chi2_pixel: float,
-    chi2_depth: float,
-) -> float:
+def robust_cost(poses: FloatArray, points: FloatArray, seen: OrderedObservations) -> float:
     """Half the robust sum of the observations that are no outliers (Huber)."""
+    starts, keyframes, pixels, depths_m, sigmas, is_inlier, camera, depth_sigma_per_m2 = seen
     r, p = np.zeros(3), np.zeros(3)
     total = 0.0
     for landmark in range(len(points)):
         for o in range(starts[landmark], starts[landmark + 1]):
-            if not inlier[o]:
+            if not is_inlier[o]:
                 continue
-            limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
-            if not residual(
-                poses,
-                keyframes[o],
-                points,
-                landmark,
-                pixels,
-                o,
-                depths[o],
-                sigmas[o],
-                inverse_depth_sigma,
-                camera,
-                r,
-                p,
-            ):
+            limit = _chi2_limit(depths_m[o])
+            if not _residual(
+                poses, keyframes[o], points, landmark, pixels, o, depths_m[o], sigmas[o],
+                depth_sigma_per_m2, camera, r, p,
+            ):  # fmt: skip
                 # As bad as a gross outlier, so that a step that throws points behind is refused.
                 total += 100.0 * limit
                 continue
@@ -86,20 +92,26 @@ def robust_cost(
 
 
 @compiled(nogil=True)
+def tell_outliers(poses: FloatArray, points: FloatArray, seen: OrderedObservations) -> None:
+    """Write ``is_inlier`` of all observations, former outliers among them."""
+    starts, keyframes, pixels, depths_m, sigmas, is_inlier, camera, depth_sigma_per_m2 = seen
+    r, p = np.zeros(3), np.zeros(3)
+    for landmark in range(len(points)):
+        for o in range(starts[landmark], starts[landmark + 1]):
+            is_before = _residual(
+                poses, keyframes[o], points, landmark, pixels, o, depths_m[o], sigmas[o],
+                depth_sigma_per_m2, camera, r, p,
+            )  # fmt: skip
+            chi2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+            is_inlier[o] = is_before and chi2 <= _chi2_limit(depths_m[o])
+
+
+@compiled(nogil=True)
 def add_observations(
     poses: FloatArray,
     free: IntArray,
     points: FloatArray,
-    starts: IntArray,
-    keyframes: IntArray,
-    pixels: FloatArray,
-    depths: FloatArray,
-    sigmas: FloatArray,
-    inlier: BoolArray,
-    camera: FloatArray,
-    inverse_depth_sigma: float,
-    chi2_pixel: float,
-    chi2_depth: float,
+    seen: OrderedObservations,
     S: FloatArray,
     b: FloatArray,
     cross: FloatArray,
@@ -112,6 +124,7 @@ def add_observations(
 
     ``free``: (K,) the number of each keyframe among those that move, -1 for a fixed one.
     """
+    starts, keyframes, pixels, depths_m, sigmas, is_inlier, camera, depth_sigma_per_m2 = seen
     fx, fy = camera[0], camera[1]
     r, p, g = np.zeros(3), np.zeros(3), np.zeros(3)
     Q, QR, moments = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
@@ -121,14 +134,14 @@ def add_observations(
     for landmark in range(len(points)):
         for o in range(starts[landmark], starts[landmark + 1]):
             k = keyframes[o]
-            if not inlier[o] or not residual(
-                poses, k, points, landmark, pixels, o, depths[o], sigmas[o],
-                inverse_depth_sigma, camera, r, p,
+            if not is_inlier[o] or not _residual(
+                poses, k, points, landmark, pixels, o, depths_m[o], sigmas[o],
+                depth_sigma_per_m2, camera, r, p,
             ):  # fmt: skip
                 continue
-            has_depth = not np.isnan(depths[o])
+            has_depth = not np.isnan(depths_m[o])
             chi2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
-            limit = chi2_depth if has_depth else chi2_pixel
+            limit = _chi2_limit(depths_m[o])
             weight = 1.0 if chi2 <= limit else np.sqrt(limit / chi2)
             # By a motion of p, the point before the camera, r changes by A, whose other entries are
             # 0. By one of the landmark p moves by R, by one of the camera by [-p x, I]: all blocks
@@ -136,7 +149,7 @@ def add_observations(
             iz, w = 1.0 / p[2], 1.0 / sigmas[o]
             A00, A02 = fx * iz * w, -fx * p[0] * iz * iz * w
             A11, A12 = fy * iz * w, -fy * p[1] * iz * iz * w
-            A22 = -iz * iz / inverse_depth_sigma if has_depth else 0.0
+            A22 = -iz * iz / depth_sigma_per_m2 if has_depth else 0.0
             Q[0, 0], Q[1, 1] = weight * A00 * A00, weight * A11 * A11
             Q[2, 2] = weight * (A02 * A02 + A12 * A12 + A22 * A22)
             Q[0, 2] = Q[2, 0] = weight * A00 * A02
@@ -179,9 +192,7 @@ def add_observations(
 @compiled(nogil=True)
 def eliminate_landmarks(
     free: IntArray,
-    starts: IntArray,
-    keyframes: IntArray,
-    inlier: BoolArray,
+    seen: OrderedObservations,
     cross: FloatArray,
     Hll: FloatArray,
     gradients: FloatArray,
@@ -192,6 +203,7 @@ def eliminate_landmarks(
 ) -> None:
     """The Schur complement: take the landmarks, damped, out of ``S`` and ``b`` as
     ``add_observations`` has made them. ``inverses``, (L, 3, 3), become those of their blocks."""
+    starts, keyframes, is_inlier = seen.starts, seen.keyframes, seen.is_inlier
     V, inverse, WH = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((6, 3))
     # What the landmarks take from each pair of keyframes; the upper half alone.
     taken = np.zeros((len(b) // 6, len(b) // 6, 6, 6))
@@ -205,7 +217,7 @@ def eliminate_landmarks(
         inverses[landmark] = inverse
         for o in range(first, last):
             place = free[keyframes[o]]
-            if place < 0 or not inlier[o]:
+            if place < 0 or not is_inlier[o]:
                 continue
             for i in range(6):
                 for j in range(3):
@@ -221,7 +233,7 @@ def eliminate_landmarks(
                 )
             for q in range(first, last):
                 other = free[keyframes[q]]
-                if other < place or not inlier[q]:
+                if other < place or not is_inlier[q]:
                     continue
                 for i in range(6):
                     x, y, z = WH[i, 0], WH[i, 1], WH[i, 2]
