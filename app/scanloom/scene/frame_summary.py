@@ -23,6 +23,23 @@ class Counts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PairCounts:
+    """How many pairs of beam and pixel are of each class, the worse of their two sides.
+
+    A pair that is good has both values, on one surface. ``without_pixel``: good beams whose point
+    lies outside the image, which no pixel can confirm; they are of no class here.
+    """
+
+    by_class: dict[NoiseClass, int]
+    without_pixel: int
+
+    @property
+    def total(self) -> int:
+        """All beams in view."""
+        return sum(self.by_class.values()) + self.without_pixel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ConflictRun:
     """Adjacent beams in conflict: ``first`` to ``last`` in the scan, ``middle`` the one to look at.
 
@@ -97,6 +114,16 @@ def counts_of_beams(frame: FusedFrame) -> Counts:
 def counts_of_pixels(frame: FusedFrame) -> Counts:
     """The pixels of the beams in view."""
     return _counts(frame.classes.depth_class, frame.repair.depth_source)
+
+
+def counts_of_pairs(frame: FusedFrame) -> PairCounts:
+    """The beams in view, each with its pixel."""
+    code = frame.pair_class
+    is_alone = (code == NoiseClass.GOOD) & (frame.match.correspondence.row < 0)
+    return PairCounts(
+        by_class={noise: int((code[~is_alone] == noise).sum()) for noise in NoiseClass},
+        without_pixel=int(is_alone.sum()),
+    )
 
 
 def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:

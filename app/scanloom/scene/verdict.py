@@ -9,8 +9,14 @@ from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.extrinsics import ExtrinsicsEstimate, parameters_in_words
 from fusion_core.model.labels import NO_LABEL
 from fusion_core.workflows.fuse.cached_chain import CachedChain
+from fusion_core.workflows.fuse.frame import FusedFrame
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
-from scanloom.scene.frame_summary import counts_of_beams
+from scanloom.scene.frame_summary import (
+    PairCounts,
+    counts_of_beams,
+    counts_of_pairs,
+    counts_of_pixels,
+)
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
 from scanloom.state.possible_steps import map_mode_of, why_not
 from scanloom.state.review_overlay import ReviewOverlay
@@ -18,15 +24,16 @@ from scanloom.state.slam_choices import choices_for, streams_of
 
 # Samples: nearer than this, the peak with and without the recording's offset are the same.
 _SAME_U = 2.0
+_FROM_ELSEWHERE = (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """``sentence`` and ``detail`` are plain text. ``counts``: beams by class, None without them."""
+    """``sentence`` and ``detail`` are plain text. ``counts``: pairs by class, None without them."""
 
     sentence: str
     detail: str = ""
-    counts: dict[NoiseClass, int] | None = None
+    counts: PairCounts | None = None
 
 
 def verdict_of(frame_view: FrameView) -> Verdict:
@@ -132,25 +139,25 @@ def _repair(frame_view: FrameView) -> Verdict:
     fused = frame_view.fused
     if fused is None:
         return Verdict(sentence="Not classified", detail=missing_result_text(frame_view))
-    counts = counts_of_beams(fused)
-    total = sum(counts.by_class.values())
-    good = counts.by_class[NoiseClass.GOOD]
-    other, near = RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS
-    changed = counts.by_source[other] + counts.by_source[near]
+    pairs = counts_of_pairs(fused)
     return Verdict(
-        sentence=f"{good} of {total} beams agree with the camera",
-        detail=_repaired_text(total - good, changed),
-        counts=counts.by_class,
+        sentence=f"{pairs.by_class[NoiseClass.GOOD]} of {pairs.total} beams agree with the camera",
+        detail=_repaired_text(fused, pairs.without_pixel),
+        counts=pairs,
     )
 
 
-def _repaired_text(other: int, changed: int) -> str:
-    if not other:
-        return "There is nothing to repair."
-    return (
-        f"{changed} of the other {other} {'beam' if other == 1 else 'beams'} filled or corrected, "
-        "from the camera or from neighbours."
-    )
+def _repaired_text(fused: FusedFrame, without_pixel: int) -> str:
+    filled = []
+    for counts, what in ((counts_of_beams(fused), "range"), (counts_of_pixels(fused), "depth")):
+        missing_or_wrong = sum(counts.by_source.values())
+        changed = (counts.by_source[source] for source in _FROM_ELSEWHERE)
+        if missing_or_wrong:
+            filled.append(f"{sum(changed)} of {counted(missing_or_wrong, what)}")
+    text = f"Filled or corrected: {', '.join(filled)}." if filled else "There is nothing to repair."
+    if without_pixel:
+        text += f" {counted(without_pixel, 'good beam')} outside the image."
+    return text
 
 
 def _review(frame_view: FrameView) -> Verdict:

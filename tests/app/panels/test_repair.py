@@ -17,7 +17,12 @@ from scanloom.panels.repair import RepairPanel
 from scanloom.plots.palette import class_color, color_of
 from scanloom.plots.theme import DARK, LIGHT
 from scanloom.resources import sample_path
-from scanloom.scene.frame_summary import conflict_runs, facts_of_beam
+from scanloom.scene.frame_summary import (
+    conflict_runs,
+    counts_of_beams,
+    counts_of_pixels,
+    facts_of_beam,
+)
 from scanloom.scene.verdict import verdict_of
 from scanloom.state.library import Library
 from scanloom.state.view import View
@@ -277,6 +282,31 @@ def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
     bench.change(playback_speed=2.0)
     assert bench.panel._pictures[1].image is drawn
     bench.change(playback_speed=1.0)
+
+
+def test_the_verdict_counts_as_agreeing_what_both_sensors_see(bench: Bench) -> None:
+    """One count of each pair by hand: with no value on one side nothing can agree."""
+    for number in (FRAME, OTHER_FRAME):
+        bench.change(frame_index=number)
+        verdict, frame = verdict_of(bench.frame_view), bench.frame
+        pairs = frame.match.correspondence
+        near = np.abs(pairs.residual_m) <= frame.classes.epsilon_m
+        agreeing = missing = outside = 0
+        for at, is_near in enumerate(near):
+            good = frame.classes.lidar_class[at] == NoiseClass.GOOD
+            has_pixel = pairs.row[at] >= 0
+            agreeing += bool(good and is_near and frame.classes.depth_class[at] == NoiseClass.GOOD)
+            missing += bool(np.isnan(pairs.lidar_range_m[at]) or np.isnan(pairs.depth_m[at]))
+            outside += bool(good and not has_pixel)
+        assert verdict.sentence == f"{agreeing} of {near.size} beams agree with the camera"
+        assert verdict.counts is not None
+        assert verdict.counts.without_pixel == outside
+        assert verdict.counts.by_class[NoiseClass.HOLE] + outside <= missing
+        beams, pixels = counts_of_beams(frame), counts_of_pixels(frame)
+        for counts, what in ((beams, "ranges"), (pixels, "depths")):
+            noise = counts.by_class[NoiseClass.HOLE] + counts.by_class[NoiseClass.BURR]
+            kept = counts.by_source[RepairSource.RAW] + counts.by_source[RepairSource.NONE]
+            assert f"{noise - kept} of {noise} {what}" in verdict.detail
 
 
 def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:

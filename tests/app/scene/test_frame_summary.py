@@ -13,6 +13,7 @@ from scanloom.scene.frame_summary import (
     ConflictRun,
     conflict_runs,
     counts_of_beams,
+    counts_of_pairs,
     counts_of_pixels,
     facts_of_beam,
 )
@@ -77,6 +78,20 @@ def test_beams_and_pixels_are_counted_by_class_and_by_what_became_of_them() -> N
     assert pixels.by_class == {GOOD: 3, HOLE: 0, BURR: 0, CONFLICT: 3}
     assert pixels.by_source == dict.fromkeys(RepairSource, 0)
     assert pixels.without_pixel == 1
+
+
+def test_a_pair_has_the_worse_class_of_its_sides_and_a_good_beam_alone_has_none() -> None:
+    seven = frame()
+    pair_class = np.maximum(seven.classes.lidar_class, seven.classes.depth_class)
+    seven.pair_class = pair_class
+    pairs = counts_of_pairs(seven)
+    assert pairs.by_class == {GOOD: 1, HOLE: 2, BURR: 1, CONFLICT: 3}
+    assert (pairs.without_pixel, pairs.total) == (0, 7)
+    # The last beam returns now, beside the image; the first one's pixel is empty.
+    pair_class[[0, 6]] = HOLE, GOOD
+    pairs = counts_of_pairs(seven)
+    assert pairs.by_class == {GOOD: 0, HOLE: 2, BURR: 1, CONFLICT: 3}
+    assert (pairs.without_pixel, pairs.total) == (1, 7)
 
 
 def test_adjacent_conflicts_are_one_and_the_greatest_disagreement_is_first() -> None:
