@@ -27,6 +27,7 @@ from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.given_extrinsics import CameraPose
 from fusion_core.model.rig import Mount
+from fusion_core.model.stated_number import with_deviation
 
 # A fit that lies this many standard deviations from the given mount contradicts it.
 _CONTRADICTION_SD = 3.0
@@ -203,9 +204,8 @@ def _offsets(
         if abs(off) <= max(_CONTRADICTION_SD * np.hypot(own_sd, sd[index]), _SHOWN[index]):
             continue
         if index == 0:
-            yield (
-                f"they agree best with a yaw {np.rad2deg(off):+.2f} deg from it "
-                f"(+- {np.rad2deg(own_sd):.2f})"
-            )
+            number, deviation = with_deviation(np.rad2deg(off), np.rad2deg(own_sd))
+            yield f"they agree best with a yaw {number} deg from it (+- {deviation})"
         else:
-            yield f"they agree best {off:+.3f} m {name} of it (+- {own_sd:.3f})"
+            number, deviation = with_deviation(off, own_sd)
+            yield f"they agree best {number} m {name} of it (+- {deviation})"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.stated_number import with_deviation
 from scanloom.page.markup import escape_markdown
 from scanloom.state.hand_pose import HandPose
 
@@ -79,15 +80,15 @@ def mount_text(
             continue
         form, positive, negative, unit, factor = _NAMES[name]
         value = getattr(mount, name) * factor
-        digits = 2 if unit == " m" else 1
-        number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
+        number = f"**{' ± '.join(with_deviation(abs(value), sd * factor))}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
     if floor_roll_rad is None and not is_roll_known:
         unknown.append("how far it is rolled")
     elif floor_roll_rad is not None:
         roll_deg, sd_deg = np.rad2deg(floor_roll_rad)
         level = ", taken as level" if roll_used_rad == 0.0 else ""
-        lines.append(f"- It is rolled **{roll_deg:z.1f} ± {sd_deg:.1f}°**{level}.")
+        number = " ± ".join(with_deviation(roll_deg, sd_deg))
+        lines.append(f"- It is rolled **{number}°**{level}.")
     if unknown:
         lines.append(f"- This recording does not tell {', '.join(unknown)}.")
     lines += [f"- {note}" for note in notes]

@@ -11,6 +11,7 @@ import numpy as np
 from fusion_core.files.atomic import write_text
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.rig import MOUNT_PARAMETERS
+from fusion_core.model.stated_number import with_deviation
 
 _KEPT = ("frames", "paired", "classes", "scores", "notes")
 
@@ -77,7 +78,8 @@ def _mount_lines(document: dict[str, Any]) -> Iterator[str]:
             value, sd = document[name] * factor, document[f"{name}_sd"] * factor
             is_level = name in roll and document["roll_used_rad"] == 0.0
             level = ", taken as level" if is_level else ""
-            yield f"mount      {label} {value:.2f} +- {sd:.2f} {unit}{level}"
+            number = " +- ".join(with_deviation(value, sd))
+            yield f"mount      {label} {number} {unit}{level}"
 
 
 def write_summary(folder: Path, summary: FuseSummary) -> None:

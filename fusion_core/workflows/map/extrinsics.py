@@ -14,6 +14,7 @@ from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.stated_number import with_deviation
 from fusion_core.recordings.calibration_files.extrinsics import read_given_extrinsics
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import align_recording, mount_not_used
@@ -268,10 +269,17 @@ def _name_parameters(names: Sequence[str]) -> str:
 
 
 def _describe_mount(mount: Mount) -> str:
+    """The in-plane parameters, all of which are known."""
     sd = dict(zip(MOUNT_PARAMETERS, mount.sd, strict=True))
-    yaw = f"yaw {np.rad2deg(mount.yaw_rad):.2f} +- {np.rad2deg(sd['yaw_rad'] or 0.0):.2f} deg"
-    forward = f"forward {mount.forward_m:.3f} +- {sd['forward_m']:.3f} m"
-    return f"{yaw}, {forward}, left {mount.left_m:.3f} +- {sd['left_m']:.3f} m"
+    described = []
+    for name in _IN_PLANE:
+        own_sd = sd[name]
+        assert own_sd is not None, "a mount that is not observable is refused"
+        label, unit = name.rsplit("_", 1)
+        unit, factor = ("deg", 180.0 / np.pi) if unit == "rad" else (unit, 1.0)
+        number = " +- ".join(with_deviation(getattr(mount, name) * factor, own_sd * factor))
+        described.append(f"{label} {number} {unit}")
+    return ", ".join(described)
 
 
 def _read_lidar_mounting(

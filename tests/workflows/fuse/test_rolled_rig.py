@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.rig import Mount
+from fusion_core.model.stated_number import with_deviation
 from fusion_core.recordings.clouds.formats import read_cloud
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import find_scene
@@ -48,7 +49,8 @@ def test_the_cameras_pose_takes_the_roll(rolled, summary: FuseSummary) -> None:
     R = np.array(document["cameras"][0]["T_lidar_camera"])[:3, :3]
     assert np.arccos((np.trace(R.T @ R_true) - 1.0) / 2.0) < np.deg2rad(0.4)
     (line,) = (line for line in summary.lines() if " roll " in line)
-    assert f"roll {np.rad2deg(document['roll_rad']):.2f} +- " in line
+    degrees = np.rad2deg([document["roll_rad"], document["roll_rad_sd"]])
+    assert f"roll {' +- '.join(with_deviation(*degrees))} deg" in line
 
 
 def test_clouds_have_the_roll(
@@ -94,7 +96,9 @@ def test_the_workbench_says_how_far_the_camera_is_rolled(rolled) -> None:
         roll_used_rad=estimate.roll_rad,
         is_roll_known=False,
     )
-    assert f"It is rolled **{np.rad2deg(roll_rad):.1f} ± " in text
+    degrees = np.rad2deg(seen)
+    assert degrees[0] == pytest.approx(np.rad2deg(roll_rad), abs=0.05)
+    assert f"It is rolled **{' ± '.join(with_deviation(*degrees))}°**" in text
     assert "taken as level" not in text
     assert "taken as level" in mount_text(estimate.mount, floor_roll_rad=(0.0, 1e-3))
     assert "how far it is rolled" in mount_text(estimate.mount, is_roll_known=False)
