@@ -26,8 +26,8 @@ from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.given_extrinsics import CameraPose
+from fusion_core.model.number_text import with_deviation
 from fusion_core.model.rig import Mount
-from fusion_core.model.stated_number import with_deviation
 
 # A fit that lies this many standard deviations from the given mount contradicts it.
 _CONTRADICTION_SD = 3.0

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fusion_core.model.number_text import with_deviation
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.model.stated_number import with_deviation
 from scanloom.page.markup import escape_markdown
 from scanloom.state.hand_pose import HandPose
 

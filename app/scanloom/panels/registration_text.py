@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
+from fusion_core.model.number_text import counted
 from fusion_core.workflows.fuse.epsilon import EpsilonInFrame, EpsilonUnit
 from fusion_core.workflows.fuse.registration_details import (
     Consensus,
@@ -12,7 +13,6 @@ from fusion_core.workflows.fuse.registration_details import (
     Registration,
     TransformDecomposition,
 )
-from scanloom.scene.verdict import counted
 
 # Set by hand: a transform that shrinks a distance below this fraction has an unstable inverse.
 _FLATTENS = 0.5

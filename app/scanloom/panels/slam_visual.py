@@ -9,6 +9,7 @@ import viser
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ScanLoomError, StampOutsideRange
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.number_text import counted
 from fusion_core.model.visual_slam_view import VisualSlamView
 from fusion_core.workflows.map.visual_result_folder import VisualResults, read_run_cloud
 from scanloom.client_session import ClientSession
@@ -24,7 +25,6 @@ from scanloom.plots.theme import Theme
 from scanloom.scene.frame_stage import pose_stamp_ns
 from scanloom.scene.level_of_detail import POINTS_MAX
 from scanloom.scene.map_nodes import map_plane
-from scanloom.scene.verdict import counted
 from scanloom.scene.visual_picture import VisualPicture, picture_of_results, picture_of_view
 from scanloom.scene.visual_shapes import HalfView
 

@@ -8,6 +8,7 @@ from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.extrinsics import ExtrinsicsEstimate, parameters_in_words
 from fusion_core.model.labels import NO_LABEL
+from fusion_core.model.number_text import counted
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame import FusedFrame
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
@@ -194,11 +195,6 @@ def _unpaired_text(frame_view: FrameView, review: ReviewOverlay) -> str:
         counted(number, what) for number, what in ((beams, "beam"), (pixels, "pixel")) if number
     ]
     return f"Of these {' and '.join(said)} without a pair now." if said else ""
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things, in words that agree with it."""
-    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 def _map(frame_view: FrameView) -> Verdict:

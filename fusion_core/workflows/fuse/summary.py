@@ -10,8 +10,8 @@ import numpy as np
 
 from fusion_core.files.atomic import write_text
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.number_text import with_deviation
 from fusion_core.model.rig import MOUNT_PARAMETERS
-from fusion_core.model.stated_number import with_deviation
 
 _KEPT = ("frames", "paired", "classes", "scores", "notes")
 

@@ -11,10 +11,10 @@ from fusion_core.alignment.upright import UprightView, upright_view
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.model.errors import AlignmentFailed, ScanLoomError, SettingsError
 from fusion_core.model.geometry import invert_transform, make_transform
+from fusion_core.model.number_text import with_deviation
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.model.stated_number import with_deviation
 from fusion_core.recordings.calibration_files.extrinsics import read_given_extrinsics
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import align_recording, mount_not_used

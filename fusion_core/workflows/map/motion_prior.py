@@ -8,6 +8,7 @@ import numpy as np
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, IntArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import make_transform
+from fusion_core.model.number_text import counted
 from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
@@ -255,10 +256,11 @@ class _OdometrySources:
         registered = register_colors(frames, frames.intrinsics, settings)
         result = visual_slam(registered, frames.intrinsics, settings, progress=self._progress)
         self.notes.extend((*frames.notes, *registered.notes, *result.notes))
-        loops = len(result.visual_map.loops)
+        visual_map = result.visual_map
         self.notes.append(
             f"Visual SLAM has placed {int(result.is_tracked.sum())} of {len(result.stamps_ns)} "
-            f"images, with {len(result.visual_map.kept_keyframes)} keyframes and {loops} loops."
+            f"images, with {counted(len(visual_map.kept_keyframes), 'keyframe')} and "
+            f"{counted(len(visual_map.loops), 'loop')}."
         )
         track = planar_motion(result, T_lidar_camera, self._settings.visual_slam_motion)
         return resample_odometry(track, self.stamps_ns())

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
+from fusion_core.model.number_text import counted
 from fusion_core.slam.particle_filter_slam import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
 from fusion_core.workflows.map.estimators import PlacedScans
@@ -46,8 +47,9 @@ class MapSummary:
         ]
         if "loops" in report:
             lines.append(
-                f"graph      {report['key_scans']} keyframes, {report['edges']} edges, "
-                f"{report['loops']} loops ({report['loops_dropped']} dropped)"
+                f"graph      {counted(report['key_scans'], 'keyframe')}, "
+                f"{counted(report['edges'], 'edge')}, {counted(report['loops'], 'loop')} "
+                f"({report['loops_dropped']} dropped)"
             )
         if "particles" in report:
             lines.append(
@@ -58,7 +60,7 @@ class MapSummary:
         for interval in sorted(longest[:_INTERVALS_PRINTED], key=lambda entry: entry["from_s"]):
             lines.append(
                 f"untrusted  {interval['from_s']:.3f} s to {interval['to_s']:.3f} s: "
-                f"{interval['scans']} scans"
+                f"{counted(interval['scans'], 'scan')}"
             )
         if len(longest) > _INTERVALS_PRINTED:
             lines.append(

@@ -17,6 +17,7 @@ from fusion_core.mapping.octree_nodes import leaves_of
 from fusion_core.mapping.projected_grid import FREE_BELOW, OCCUPIED_ABOVE, project_octree
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.number_text import counted
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.workflows.map.volume_assembly import (
@@ -123,7 +124,8 @@ def write_volumes(
 
 
 def _write_pictures(folder: Path, built: Volumes, intrinsics: CameraIntrinsics) -> None:
-    heading = f"Dense cloud of {len(built.T_map_camera)} keyframes: {len(built.cloud.rgb)} points"
+    keyframes = counted(len(built.T_map_camera), "keyframe")
+    heading = f"Dense cloud of {keyframes}: {counted(len(built.cloud.rgb), 'point')}"
     write_cloud_figure(
         folder / "cloud.png",
         heading,
@@ -134,8 +136,8 @@ def _write_pictures(folder: Path, built: Volumes, intrinsics: CameraIntrinsics) 
     )
     if built.mesh is not None:
         heading = (
-            f"Surface of {len(built.T_map_camera)} keyframes: {len(built.mesh.triangles)} "
-            f"triangles, voxels of {built.mesh_voxel_m:g} m"
+            f"Surface of {keyframes}: {counted(len(built.mesh.triangles), 'triangle')}, "
+            f"voxels of {built.mesh_voxel_m:g} m"
         )
         write_mesh_figure(folder / "mesh.png", heading, built.mesh, built.T_map_camera, intrinsics)
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fusion_core.model.number_text import with_deviation
 from fusion_core.model.rig import Mount
-from fusion_core.model.stated_number import with_deviation
 from fusion_core.recordings.clouds.formats import read_cloud
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import find_scene

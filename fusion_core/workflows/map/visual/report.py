@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
+from fusion_core.model.number_text import counted
 from fusion_core.slam.visual.image_trajectory import JUMP_M
 from fusion_core.slam.visual.visual_slam import VisualSlamResult
 from fusion_core.workflows.map.report import MapSummary
@@ -23,13 +24,13 @@ class VisualMapSummary(MapSummary):
         lines = [
             f"images     {report['images_tracked']} of {report['images']} have a pose, "
             f"{report['duration_s']:.1f} s, {report['path_m']:.1f} m path",
-            f"map        {report['keyframes']} keyframes, {report['landmarks']} landmarks, "
-            f"{report['loops']} loops",
+            f"map        {counted(report['keyframes'], 'keyframe')}, "
+            f"{counted(report['landmarks'], 'landmark')}, {counted(report['loops'], 'loop')}",
         ]
         for stretch in report["lost"][:_PRINTED]:
             lines.append(
                 f"lost       {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
-                f"{stretch['images']} images, {stretch['reason']}"
+                f"{counted(stretch['images'], 'image')}, {stretch['reason']}"
             )
         for stretch in report["doubtful"][:_PRINTED]:
             lines.append(

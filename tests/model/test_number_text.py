@@ -1,4 +1,4 @@
-"""A number with its deviation as text, against decimal arithmetic."""
+"""Numbers as text: with a deviation, against decimal arithmetic, and with what they count."""
 
 from decimal import Decimal
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.model.stated_number import with_deviation
+from fusion_core.model.number_text import counted, with_deviation
 
 
 @pytest.mark.parametrize(
@@ -43,3 +43,8 @@ def test_rounding_is_small_beside_the_deviation_and_no_deviation_vanishes(
 def test_what_is_unknown_is_not_stated(value: float, sd: float) -> None:
     with pytest.raises(ValueError, match="need a finite number"):
         with_deviation(value, sd)
+
+
+def test_one_thing_is_no_plural() -> None:
+    said = [counted(number, "keyframe") for number in (0, 1, 2, 1234)]
+    assert said == ["0 keyframes", "1 keyframe", "2 keyframes", "1,234 keyframes"]

@@ -1,4 +1,4 @@
-"""A number as text with the digits that its standard deviation leaves it."""
+"""Numbers as text: with the digits that a standard deviation leaves, and with what they count."""
 
 import math
 
@@ -18,3 +18,8 @@ def with_deviation(value: float, sd: float) -> tuple[str, str]:
     exponent = int(f"{sd:.1e}".partition("e")[2])
     decimals = max(0, 1 - exponent)
     return f"{value:z.{decimals}f}", f"{sd:.{decimals}f}"
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things, in words that agree with it; ``what``: one of them."""
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
