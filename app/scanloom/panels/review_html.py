@@ -9,6 +9,7 @@ from scanloom.page.bridge import press_attributes
 from scanloom.panels.frame_readout import frame_name
 from scanloom.panels.swatches import class_swatch, swatch
 from scanloom.plots.label_overlay import UNSURE_COLOR
+from scanloom.scene.duration_text import duration_text
 from scanloom.state.frame_runs import class_name
 
 PRESS_ANSWER, PRESS_ACTION = "answer", "review"
@@ -151,4 +152,4 @@ def _action(value: str, text: str, key: str) -> str:
 def _minutes(minutes: float) -> str:
     if minutes < 1.0:
         return "less than a minute"
-    return f"{minutes:.0f} min" if minutes < 90.0 else f"{minutes / 60.0:.1f} h"
+    return duration_text(60.0 * round(minutes))
