@@ -129,10 +129,13 @@ def _register(frame_view: FrameView) -> Verdict:
             detail=f"{match.refusal} Beams and pixels are compared without it.",
         )
     inliers = int(found.inliers.sum())
+    detail = "It sends a point of the LiDAR to infinity: there is no mean difference."
+    if np.isfinite(found.mean_error_m):
+        error_cm = f"{100.0 * found.mean_error_m:.1f} cm"
+        detail = f"After it LiDAR and camera differ by {error_cm} in the mean."
     return Verdict(
         sentence=f"{inliers} of {found.valid} pairs of beam and pixel agree on one transform",
-        detail="After it LiDAR and camera differ by "
-        f"{100.0 * found.mean_error_m:.1f} cm in the mean.",
+        detail=detail,
     )
 
 

@@ -1,6 +1,7 @@
 """The Register panel: A and draws in words, epsilon in its units, and what the widgets change."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,13 +27,14 @@ from scanloom.panels.register import RegisterPanel
 from scanloom.panels.residual_plot import ResidualPlot
 from scanloom.plots.line_plot import css
 from scanloom.plots.theme import DARK, LIGHT
+from scanloom.scene.verdict import verdict_of
 from scanloom.state.view import View
 
 SIGMA_M = 0.04
 ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, fraction=0.0))
 # No truth stands beside it.
 RECORDING = SimpleNamespace(path=Path("no such recording.mcap"))
-OPENED = SimpleNamespace(recording=RECORDING, recalls={})
+OPENED = SimpleNamespace(recording=RECORDING, recalls={}, opened=SimpleNamespace(why_not_fused=""))
 AZIMUTHS_RAD = np.linspace(0.5, -0.5, 60)
 LIDAR_M = np.stack([-np.linspace(-1.5, 1.5, 60), 2.0 + 0.4 * np.linspace(-1.5, 1.5, 60) ** 2], 1)
 
@@ -221,6 +223,18 @@ def test_the_panel_shows_a_frame(panel, session):
     assert "2.0° to the left" in panel._summary.content
     assert panel._pairs.image.min() < 255
     assert "Draw **0** of 0…19" in panel._draw_text.content
+
+
+@pytest.mark.parametrize(
+    ("error_m", "said"), [(0.0137, "differ by 1.4 cm in the mean"), (np.inf, "no mean difference")]
+)
+def test_the_verdict_tells_the_error_that_is_left(session, error_m, said):
+    found = replace(registered(LIDAR_M), mean_error_m=error_m)
+    session.change(panel="Register")
+    verdict = verdict_of(frame_view(session, frame_of(found)))
+    assert verdict.sentence == "60 of 60 pairs of beam and pixel agree on one transform"
+    assert said in verdict.detail
+    assert "inf" not in verdict.detail.replace("infinity", "")
 
 
 def test_epsilon_alone_redraws_no_pairs(panel, session):
