@@ -1,12 +1,11 @@
 // The opening dialog's part of the page: files that are dropped or chosen go to the server through a
-// socket of their own, and Escape closes the dialog.
+// socket of their own.
 (() => {
   if (window.scanloomOpening) return;
   window.scanloomOpening = true;
 
   const PART_BYTES = 128 * 1024;
   const AHEAD_BYTES = 8 * PART_BYTES;
-  const LIST = ".scanloom-open";
 
   // As a button of the server's that is pressed.
   function press(name, value = "") {
@@ -28,11 +27,17 @@
     });
   }
 
-  // The server says what is wrong; here it only ends.
+  // Once connected, the server says what is wrong; here it only ends.
   async function upload(file) {
     const place = document.querySelector("[data-upload]");
     if (!place) return;
-    const socket = await connected(place.dataset.upload);
+    let socket;
+    try {
+      socket = await connected(place.dataset.upload);
+    } catch {
+      press("upload-refused", "unconnected");
+      return;
+    }
     try {
       const allowed = new Promise((resolve) => {
         socket.onmessage = () => resolve(true);
@@ -79,8 +84,4 @@
     if (field.files.length === 1) upload(field.files[0]);
     field.value = "";
   }, true);
-
-  document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && document.querySelector(LIST)) press("open-close");
-  });
 })();

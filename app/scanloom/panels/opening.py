@@ -42,6 +42,7 @@ _MAX_FIND_CHARACTERS = 200
 _REFUSED_DROPS = {
     "folder": "A folder cannot be uploaded: start scanloom view with --root and its folder.",
     "several": "Only one file can be uploaded at a time.",
+    "unconnected": "The upload could not begin: the server did not answer. Try again.",
 }
 
 

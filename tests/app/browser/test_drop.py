@@ -109,3 +109,32 @@ def test_what_is_refused_says_why_and_leaves_everything(
     # The page still answers.
     person.key("Home")
     person.wait_until(lambda: person.frame_view.view.frame_index == 0)
+
+
+def test_an_upload_that_cannot_begin_says_so(
+    person: Person, dialog: Locator, small_scene: Path
+) -> None:
+    person.page.evaluate("""() => {
+        window.Connected = window.WebSocket;
+        window.WebSocket = class { constructor() { setTimeout(() => this.onerror()); } };
+    }""")
+    drag = Drag(person, small_scene)
+    drag.rest()
+    drag.let_go()
+    expect(dialog.get_by_role("status")).to_contain_text("The upload could not begin")
+    person.page.evaluate("() => { window.WebSocket = window.Connected; }")
+    close(person, dialog)
+
+
+def test_escape_closes_one_dialog_once(person: Person, dialog: Locator) -> None:
+    person.key("o")
+    expect(dialog).to_be_visible()
+    person.page.evaluate("""() => {
+        window.presses = [];
+        const count = (event) => window.presses.push(event.target.closest("[data-press]"));
+        document.addEventListener("click", count, true);
+    }""")
+    person.page.keyboard.press("Escape")
+    expect(dialog).to_have_count(0)
+    # A dialog that opens right after it would be closed by a second press.
+    assert person.page.evaluate("window.presses.length") == 1

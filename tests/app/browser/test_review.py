@@ -99,7 +99,7 @@ def test_box_and_brush_label_pixels_off_the_curve(anna: Person, store: LabelStor
     anna.key("b")
     anna.wait_until(lambda: anna.session.view.review.tool == "box")
     corners = [(10.0, 20.0), (30.0, 28.0)]
-    drag(anna, "depth", [pixel(anna, *corner) for corner in corners])
+    drag(anna, "depth", "box", [pixel(anna, *corner) for corner in corners])
     expect(anna.text("what you have marked: 0 beams, 189 pixels")).to_be_visible()
     anna.key("3")
     anna.wait_until(lambda: actions(store, "boris") == 1)
@@ -112,7 +112,7 @@ def test_box_and_brush_label_pixels_off_the_curve(anna: Person, store: LabelStor
 
     anna.key("b")
     anna.wait_until(lambda: anna.session.view.review.tool == "brush")
-    drag(anna, "depth", [pixel(anna, *place) for place in [(50.0, 30.0), (60.0, 30.0)]])
+    drag(anna, "depth", "brush", [pixel(anna, *place) for place in [(50.0, 30.0), (60.0, 30.0)]])
     expect(anna.text("what you have marked: 0 beams,")).to_be_visible()
     anna.key("2")
     anna.wait_until(lambda: actions(store, "boris") == 2)
@@ -153,7 +153,7 @@ def test_a_drag_on_the_profile_marks_beams(anna: Person, store: LabelStore) -> N
     drawn = anna.panel(ProfilePanel)._drawn
     ends = [drawn.axes.to_pixel(float(drawn.azimuth_deg[at]), 0.0)[0] for at in (10, 30)]
     middle = drawn.axes.box.top + drawn.axes.box.height / 2
-    drag(anna, "profile", [anna.place_on("profile", x_px, middle) for x_px in ends])
+    drag(anna, "profile", "box", [anna.place_on("profile", x_px, middle) for x_px in ends])
     expect(anna.text("what you have marked:")).to_be_visible()
     anna.key("u")
     anna.wait_until(lambda: actions(store, "carla") == 1)
@@ -237,9 +237,10 @@ def pixel(person: Person, column: float, row: float) -> tuple[float, float]:
     )
 
 
-def drag(person: Person, picture: str, places: list[tuple[float, float]]) -> None:
+def drag(person: Person, picture: str, tool: str, places: list[tuple[float, float]]) -> None:
+    """Draw with a tool, once the page has heard of it."""
     shown = person.page.locator(f"[data-picture='{picture}']")
-    person.wait_until(lambda: shown.get_attribute("data-tool") is not None)
+    person.wait_until(lambda: shown.get_attribute("data-tool") == tool)
     mouse = person.page.mouse
     mouse.move(*places[0])
     mouse.down()
