@@ -147,6 +147,8 @@ class ClientSession:
         self._found: tuple[str, RecordedCalibration] | None = None
         self._closed = threading.Event()
         self._lock = threading.RLock()
+        # Held while a view is displayed, and while there are not all panels to display it.
+        self._displaying = threading.Lock()
         self._worker = LatestOnlyWorker(
             f"session {client.client_id}", self._compute_and_show, self.show_failure
         )
@@ -166,6 +168,13 @@ class ClientSession:
         """The review while keys and clicks are about labels, else None."""
         review = self.review
         return review if review is not None and review.is_on else None
+
+    @contextmanager
+    def building(self) -> Iterator[None]:
+        """Display nothing before the block ends, which adds the panels. A page takes clicks before
+        it is built whole; a panel that had shown nothing yet would not answer the next one."""
+        with self._displaying:
+            yield
 
     def refresh(self) -> None:
         """Compute and display the view again."""
@@ -357,7 +366,7 @@ class ClientSession:
             self.refresh()
 
     def _compute_and_show(self, view: View, is_newest: Callable[[], bool]) -> None:
-        with self._library.activity.working():
+        with self._displaying, self._library.activity.working():
             self._compute_and_show_now(view, is_newest)
 
     def _return_from(self, failed: View, error: ScanLoomError) -> None:

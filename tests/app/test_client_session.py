@@ -149,6 +149,20 @@ def test_a_session_shows_its_first_view_and_has_the_browser_keep_it(
     assert client.notes == []
 
 
+def test_nothing_is_shown_before_all_panels_are_there(
+    library: Library, view: View, client: FakeClient, panel: Recorder
+) -> None:
+    """A page takes clicks before it is built whole."""
+    session = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    with session.building():
+        session.change(panel="Review")
+        assert not session.wait(1.0)
+        session.panels = [panel]
+    shown_by(session)
+    assert panel.frame_view[-1].view.panel == "Review"
+    session.close()
+
+
 def test_frames_are_shown_as_recorded_until_the_recording_is_aligned(
     small_scene: Path, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:

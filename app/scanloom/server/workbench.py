@@ -194,7 +194,8 @@ class Workbench:
             view,
             after_drawing=lambda start: storage.call_when_taken_in(client, start, _DRAWN_WITHIN_S),
         )
-        add_panels(client, session, self._options.output_root)
+        with session.building():
+            add_panels(client, session, self._options.output_root)
         with self._lock:
             self._sessions[client.client_id] = session
             is_closed = self._is_closed
