@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from fusion_core.model.errors import RecordingError, SettingsError
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.server.security import LINK_KEY
+from scanloom.server.sending import LoopEvent
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View, view_of_link
 from tests.app.viser_client import connect
@@ -52,6 +53,13 @@ def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) 
     with connect(workbench.address, storage=storage) as client:
         client.wait_until(lambda: client_shows(client, "Frame", 5))
         assert desk_of(workbench).view == kept
+
+
+def test_a_browser_is_sent_what_any_thread_queues(workbench: Workbench) -> None:
+    with connect(workbench.address) as client:
+        client.wait_until(lambda: len(workbench.sessions) == 1)
+        connection = workbench.sessions[0]._client._websock_connection
+        assert isinstance(connection.get_message_buffer().message_event, LoopEvent)
 
 
 def test_the_scene_waits_for_no_surroundings_and_casts_no_shadows(workbench: Workbench) -> None:

@@ -26,6 +26,7 @@ from scanloom.server.message_filter import (
     restrict_gui_updates,
 )
 from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
+from scanloom.server.sending import send_without_fail
 from scanloom.server.upload_socket import UPLOAD_PATH, receive_upload
 from scanloom.state.library import Library
 from scanloom.state.uploads import DEFAULT_LIMIT_BYTES
@@ -127,6 +128,7 @@ class Workbench:
         scene.configure_default_lights(cast_shadow=False)
         # Without that photograph, what the lights do not reach would be black.
         scene.add_light_ambient("/ambient_light", intensity=_AMBIENT_LIGHT)
+        self._server._websock_server.on_client_connect(send_without_fail)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
 

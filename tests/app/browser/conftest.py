@@ -63,6 +63,7 @@ def browser() -> Iterator[Browser]:
         "--disable-gpu-compositing",
     ]
     sandbox = ["--no-sandbox"] if os.getuid() == 0 else []
+    expect.set_options(timeout=ENOUGH_S * 1000)
     with sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=path, args=[*drawing, *sandbox])
         yield launched
@@ -128,7 +129,6 @@ def arrive(browser: Browser, workbench: Workbench) -> Iterator[Callable[..., Per
         page.goto(f"{workbench.address}{path}")
         return at_session(page, workbench, known)
 
-    expect.set_options(timeout=ENOUGH_S * 1000)
     yield open_in_own_browser
     for context in contexts:
         context.close()

@@ -107,7 +107,6 @@ def test_a_batch_is_listed_sorted_and_gone_through(
     context.set_default_timeout(ENOUGH_S * 1000)
     context.add_init_script(FEW_FRAMES)
     context.add_init_script(CARD_OF_NO_NAME)
-    expect.set_options(timeout=ENOUGH_S * 1000)
     with Workbench(options) as workbench:
         page = context.new_page()
         page.goto(workbench.address)
