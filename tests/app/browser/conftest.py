@@ -18,6 +18,7 @@ from tests.patience import ENOUGH_S
 
 # The processor draws the scene, which asks for each next frame with the same function: one frame
 # a second is enough of it. What the page asks for once, as for a drag, comes at once.
+# With a longer time, a test that does not wait for the page to follow the server is found out.
 FEW_FRAMES = """
 const [draw, cancel] = [requestAnimationFrame.bind(window), cancelAnimationFrame.bind(window)];
 const known = new WeakSet();

@@ -44,8 +44,7 @@ class Person:
         """Go there at once, and wait until it is shown."""
         self.session.change(**dict(view))
         self.wait_until(lambda: self.frame_view.view == view and self.frame_view.chain is not None)
-        # The browser keeps a view after it has taken in all that shows it.
-        self.wait_until(lambda: self.kept() == view.to_link())
+        self.wait_until_on_page()
 
     @property
     def frame_view(self) -> FrameView:
@@ -55,7 +54,7 @@ class Person:
 
     def reload(self, workbench: Workbench) -> None:
         """Load the page again, once the browser has kept the view, and wait for the new session."""
-        self.wait_until(lambda: self.kept() == self.session.view.to_link())
+        self.wait_until_on_page()
         known = workbench.sessions
         self.page.reload()
         self.session = at_session(self.page, workbench, known).session
@@ -64,6 +63,12 @@ class Person:
         """The link of the view that the browser keeps."""
         kept: str | None = self.page.evaluate(f"localStorage.getItem('viser-user:{STORED_VIEW}')")
         return kept
+
+    def wait_until_on_page(self) -> None:
+        """Wait until the page shows the view: what the server has shown comes there later."""
+        # The browser keeps a view after it has taken in all that shows it.
+        self.wait_until(lambda: self.kept() == self.session.view.to_link())
+        self.page.evaluate(DRAWN)
 
     def wait_until(self, condition: Callable[[], bool]) -> None:
         """Wait for what no text on the page tells."""
@@ -92,8 +97,9 @@ class Person:
         return self.picture(name)
 
     def wait_for_panel(self, panel: PanelName) -> None:
-        """Wait until a panel is shown."""
+        """Wait until a panel is shown on the page."""
         self.wait_until(lambda: self.frame_view.view.panel == panel)
+        self.wait_until_on_page()
 
     def open_step(self, name: PanelName) -> None:
         """Open a step by its button at the top."""
@@ -137,6 +143,8 @@ class Person:
         mouse.down()
         mouse.move(x + by_px, y, steps=8)
         mouse.up()
+        # The slider follows the mouse with the next picture.
+        self.page.evaluate(DRAWN)
         value = thumb.get_attribute("aria-valuenow")
         assert value is not None
         return float(value)
@@ -221,10 +229,8 @@ def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> 
     and the page takes keys."""
     person = Person(page, _aligned_session(page, workbench, known))
     page.wait_for_function("window.scanloomPage")
-    # The browser keeps a view after it has taken in all that came before it, the keys among that;
-    # they are heard once it has drawn.
-    person.wait_until(lambda: person.kept() == person.session.view.to_link())
-    page.evaluate(DRAWN)
+    # The keys come to the page before the view, and are heard once it has drawn.
+    person.wait_until_on_page()
     return person
 
 

@@ -38,7 +38,7 @@ def test_the_command_serves_until_it_is_interrupted(small_scene: Path) -> None:
                 title = f"<bdi>{small_scene.name}</bdi>"
                 client.wait_until(lambda: any_content(client, title))
                 serving.send_signal(signal.SIGINT)
-                rest, errors = serving.communicate(timeout=10.0)
+                rest, errors = serving.communicate(timeout=ENOUGH_S)
         finally:
             serving.kill()
     assert (serving.returncode, rest, errors) == (0, "", "")

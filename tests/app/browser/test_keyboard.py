@@ -13,6 +13,8 @@ _MOST_TABS = 120
 
 def tab_to(person: Person, condition: str, *, backwards: bool = False) -> None:
     """Press Tab until the focused element meets a condition in JavaScript, of ``it``."""
+    is_there = f"() => [...document.querySelectorAll('*')].some(it => {condition})"
+    person.wait_until(lambda: bool(person.page.evaluate(is_there)))
     key = "Shift+Tab" if backwards else "Tab"
     for _ in range(_MOST_TABS):
         if person.page.evaluate(f"(it => Boolean({condition}))(document.activeElement)"):
@@ -51,6 +53,13 @@ def open_by_keyboard(person: Person, recording: Path) -> None:
     expect(person.page.get_by_role("dialog")).to_have_count(0)
 
 
+def wait_until_counted(person: Person) -> None:
+    """Wait until noise is counted in all frames, with the settings of the view."""
+    # Until it is on the page, it is not said that frames are being counted anew.
+    person.wait_until_on_page()
+    expect(person.page.get_by_text("counting noise")).to_have_count(0)
+
+
 def test_the_whole_way_by_keyboard(
     person: Person, small_scene: Path, damaged: Path, output_root: Path
 ) -> None:
@@ -63,7 +72,7 @@ def test_the_whole_way_by_keyboard(
     # Open the step, and the frame with the most noise.
     keyboard.press("Alt+4")
     person.wait_for_panel("Repair")
-    person.wait_until(lambda: "counting noise" not in person.page.inner_text("body"))
+    wait_until_counted(person)
     keyboard.press("Home")
     person.wait_until(lambda: person.frame_view.view.frame_index == 0)
     keyboard.press("m")
@@ -79,7 +88,7 @@ def test_the_whole_way_by_keyboard(
     assert session.view.frame_index == worst
 
     # See why: the next conflict, and what is said of its beam.
-    person.wait_until(lambda: "counting noise" not in person.page.inner_text("body"))
+    wait_until_counted(person)
     keyboard.press("n")
     person.wait_until(lambda: person.frame_view.view.selected_beam is not None)
     shown = person.frame_view

@@ -53,13 +53,18 @@ def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
         person.wait_until(
             lambda size=size: abs(width_px(canvas) - size.between_px - 24) < 16  # type: ignore[misc]
         )
-        assert len({round(one["y"]) for step in steps.all() if (one := step.bounding_box())}) == 1
         rows = [person.page.get_by_label(name, exact=True) for name in ("Playback", "Speed")]
-        assert len({round(one["y"]) for row in rows if (one := row.bounding_box())}) == 1
+        person.wait_until(lambda: are_in_a_row(steps.all()))
+        person.wait_until(lambda rows=rows: are_in_a_row(rows))  # type: ignore[misc]
         # It could not be dragged if it were shorter.
-        assert width_px(slider) > 60
+        person.wait_until(lambda: width_px(slider) > 60)
         person.page.keyboard.press("p")
     person.page.context.close()
+
+
+def are_in_a_row(places: list[Locator]) -> bool:
+    tops_px = {round(box["y"]) for place in places if (box := place.bounding_box()) is not None}
+    return len(tops_px) == 1
 
 
 def width_px(locator: Locator) -> float:
@@ -118,7 +123,7 @@ def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person
     person.wait_until(lambda: person.frame_view.view.preset == "published")
     person.page.get_by_label("Undo the last change").click()
     expect(person.text("with noise.epsilon = 2.5")).to_be_visible()
-    assert person.page.get_by_label("Preset", exact=True).input_value() == "default"
+    expect(person.page.get_by_label("Preset", exact=True)).to_have_value("default")
     person.press("Reset to this preset")
     expect(person.text("Settings: ")).to_have_count(0)
 
