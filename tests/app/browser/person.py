@@ -170,6 +170,12 @@ class Person:
         self.page.locator(".scanloom-verdict h2").click()
         self.page.keyboard.press(name)
 
+    def change_by_key(self, name: str) -> None:
+        """Press a key that changes the view, and wait for the change."""
+        before = self.session.view
+        self.page.keyboard.press(name)
+        self.wait_until(lambda: self.session.view != before)
+
     def text(self, words: str | re.Pattern[str]) -> Locator:
         """Text that is seen and has these words in it."""
         return self.page.get_by_text(words).locator("visible=true").first

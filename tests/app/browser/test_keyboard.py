@@ -103,9 +103,7 @@ def test_the_whole_way_by_keyboard(
     person.wait_for_panel("Repair")
     assert session.view.settings.noise.epsilon > before
     while session.view.settings.noise.epsilon != before:
-        at = session.view
-        keyboard.press("Control+z")
-        person.wait_until(lambda at=at: session.view != at)
+        person.change_by_key("Control+z")
     assert session.view.frame_index == worst
 
     # Build the map, without figures, and export it.

@@ -32,9 +32,7 @@ def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     person.wait_for_another_picture("similarity", before)
     # A slow drag may be several changes.
     while person.session.view.preset_overrides():
-        at = person.session.view
-        person.page.keyboard.press("Control+z")
-        person.wait_until(lambda at=at: person.session.view != at)
+        person.change_by_key("Control+z")
     person.wait_for_peak(first)
     person.wait_until(lambda: np.array_equal(person.picture("similarity"), before))
 
