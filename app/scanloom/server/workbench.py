@@ -15,6 +15,7 @@ from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.workflows.fuse.session import FuseOptions
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.page import browser_storage as storage
+from scanloom.page.layout import FIRST_WINDOW_PX, page_sizes
 from scanloom.panels.registry import add_panels
 from scanloom.resources import SAMPLE_FRAME, sample_path
 from scanloom.server.connections import Connections
@@ -118,8 +119,10 @@ class Workbench:
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, dark_mode=False
         )
-        # A floating panel would cover the right part of the scene until the page is laid out.
+        # A floating panel would cover the right part of the scene until the page is laid out, and
+        # each change of its width draws the whole scene some times.
         self._server.gui.main_panel.dock_right()
+        self._server.gui.main_panel.set_width(page_sizes(*FIRST_WINDOW_PX).right_px)
         scene = self._server.scene
         scene.set_up_direction("+z")
         # Nothing here mirrors its surroundings or casts a shadow, and until a browser has decoded
