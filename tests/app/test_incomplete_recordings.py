@@ -15,7 +15,7 @@ from scanloom.scene.camera_views import SceneWindow, stage_extent, step_view
 from scanloom.scene.frame_stage import pose_stamps_ns, staged_frame
 from scanloom.scene.layers import absent_layers
 from scanloom.scene.verdict import verdict_of
-from scanloom.server.security import LINK_KEY
+from scanloom.server.pages import LINK_KEY
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.library import Library
 from scanloom.state.possible_steps import why_not

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError, SettingsError
 from scanloom.client_session import STORED_VIEW, ClientSession
-from scanloom.server.security import LINK_KEY
+from scanloom.server.pages import LINK_KEY
 from scanloom.server.sending import LoopEvent
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View, view_of_link

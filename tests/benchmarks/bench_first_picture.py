@@ -40,9 +40,10 @@ _ADDRESS_WITHIN_S = 60.0
 _ALIGNED_WITHIN_S = 300.0
 _DRAWN_WITHIN_MS = 3000
 
-# The canvas is read at the end of a frame in which many lines or points were drawn, and seldom:
-# reading waits for the processor to draw it. Lines are blended at their edges, so a colour is that
-# of the LiDAR where no channel is farther off than 40; the floor's grid is nearer to the ground.
+# The canvas is read at the end of a frame in which more was drawn than the floor's grid of 384
+# lines, and seldom: reading takes long. The time is that at which the frame has been drawn. Lines
+# are blended at their edges, so a colour is that of the LiDAR where no channel is farther off than
+# 40; the floor's grid is nearer to the ground.
 WATCH = """
 window.seen = {controls: null, flat: null, picture: null, aligned: null, share: 0};
 const lidar = LIDAR_RGB;
@@ -54,14 +55,16 @@ for (const name of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawEl
         const count = name === 'drawArrays' ? values[2] : values[1];
         drawn = Math.max(drawn, name.endsWith('Instanced') ? values[values.length - 1] : count);
         const isWanted = window.seen.picture === null || window.lookAgain;
-        if (isPlanned || !isWanted || drawn < 300 || performance.now() - readAt < 300) return;
+        if (isPlanned || !isWanted || drawn < 1000 || performance.now() - readAt < 100) return;
         isPlanned = true;
-        const canvas = this.canvas;
-        queueMicrotask(() => { isPlanned = false; drawn = 0; look(canvas); });
+        queueMicrotask(() => { isPlanned = false; drawn = 0; look(this); });
     };
 }
-function look(canvas) {
-    const now = performance.now();
+function look(gl) {
+    const canvas = gl.canvas;
+    // Waits until all is drawn; chromium's finish() does not.
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    const drawnAt = performance.now();
     const [width, height] = [canvas.width >> 2, canvas.height >> 2];
     if (!width || !canvas.matches('canvas[data-engine]')) return;
     // A page may hide the canvas while it loads.
@@ -84,7 +87,7 @@ function look(canvas) {
         else if (spread > 24 || apart > 90) other += 1;
     }
     window.seen.share = (curve + other) / (width * height);
-    if (curve >= 15 && other >= 500) window.seen.picture ??= now / 1000;
+    if (curve >= 15 && other >= 500) window.seen.picture ??= drawnAt / 1000;
     readAt = performance.now();
 }
 setInterval(() => {

@@ -14,7 +14,7 @@ from pathlib import Path
 import websockets.exceptions
 
 from scanloom.resources import sample_path
-from scanloom.server.security import LINK_KEY
+from scanloom.server.pages import LINK_KEY
 from scanloom.state.view import View
 from tests.app.viser_client import connect
 from tests.hostile.visitors import (

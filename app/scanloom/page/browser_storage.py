@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import viser
 from viser import _messages as messages
+from viser.infra import WebsockClientConnection
 
 # Value by key; None where the browser has none or does not send it.
 Answers = dict[str, str | None]
@@ -14,12 +15,19 @@ Answers = dict[str, str | None]
 def request_items(
     client: viser.ClientHandle, keys: Sequence[str], on_answer: Callable[[Answers], None]
 ) -> None:
+    """As ``request_from`` of the connection of a browser that has drawn a picture already."""
+    request_from(client._websock_connection, keys, on_answer)
+    client.flush()
+
+
+def request_from(
+    connection: WebsockClientConnection, keys: Sequence[str], on_answer: Callable[[Answers], None]
+) -> None:
     """Request the items of some keys.
 
     ``on_answer`` is called once all answers have arrived, on the server's event loop, which it must
     not block. No thread waits for a browser that never answers.
     """
-    connection = client._websock_connection
     key_of = {secrets.token_hex(16): key for key in keys}
     answers: Answers = {}
 
@@ -37,7 +45,6 @@ def request_items(
         connection.queue_message(
             messages.LocalStorageGetItemRequestMessage(key=key, request_uuid=request)
         )
-    client.flush()
 
 
 def call_when_taken_in(

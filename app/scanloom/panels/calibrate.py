@@ -100,14 +100,12 @@ class CalibratePanel(Panel):
             with gui.add_folder("The pose as a file"):
                 save = gui.add_button(
                     "Save as file",
-                    icon=viser.Icon.DEVICE_FLOPPY,
                     hint="JSON as of scanloom calibrate, with YAML, URDF and a static transform "
                     "beside it, below the output folder",
                 )
                 download = gui.add_button(
                     "Download",
                     color="gray",
-                    icon=viser.Icon.DOWNLOAD,
                     hint="Save it, and keep the JSON file here",
                 )
                 self._file = gui.add_html("")

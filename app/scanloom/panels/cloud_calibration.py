@@ -84,7 +84,7 @@ class CloudCalibration:
         self._matches: MatchPicture | None = None
         self._saved: Path | None = None
         gui.add_html(paragraph(_ABOUT))
-        self._button = gui.add_button("Calibrate", icon=viser.Icon.TARGET)
+        self._button = gui.add_button("Calibrate")
         self._job = PanelJob(gui, session, lock, self._show_working)
         self._result = gui.add_html("")
         self._evidence = gui.add_folder("Evidence", visible=False)
@@ -119,10 +119,8 @@ class CloudCalibration:
         self._controls = Controls(gui, session)
         self._controls.bind_field(opacity, "overlay_opacity", float)
         with gui.add_folder("The result as a file"):
-            self._save = gui.add_button("Save the result", icon=viser.Icon.DEVICE_FLOPPY)
-            self._download = gui.add_button(
-                "Download the result", color="gray", icon=viser.Icon.DOWNLOAD
-            )
+            self._save = gui.add_button("Save the result")
+            self._download = gui.add_button("Download the result", color="gray")
             self._command = gui.add_html("")
         self._button.on_click(lambda _: self._begin())
 

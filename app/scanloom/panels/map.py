@@ -125,7 +125,7 @@ class MapPanel(Panel):
         self._figures = gui.add_checkbox(
             "Figures", True, hint="Draw each stage as a picture, too, as in Xu 2024"
         )
-        self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
+        self._build_button = gui.add_button("Build")
         self._job = PanelJob(gui, self._session, self._lock, self._show_working)
         self._written = ResultFigures(gui, ("fig9_maps", "map_fused"))
         self._report = gui.add_html("")

@@ -33,7 +33,7 @@ class NaturalCalibration:
         self._frame_view: FrameView | None = None
         self._finished: FinishedCalibration | None = None
         gui.add_html(paragraph(_ABOUT))
-        self._button = gui.add_button("Calibrate", icon=viser.Icon.TARGET)
+        self._button = gui.add_button("Calibrate")
         self._job = PanelJob(gui, session, lock, self._show_working)
         self._result = gui.add_html("")
         self._again = gui.add_button(

@@ -139,7 +139,7 @@ class SlamPanel:
             visible=False,
             hint="What the recording's streams allow of scan, motion, SLAM and fusion",
         )
-        self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
+        self._run_button = gui.add_button("Run")
         self._job = PanelJob(
             gui, session, self._lock, self._show_working, cancel_label="Cancel run"
         )

@@ -8,7 +8,6 @@ in the URL and then kept in a cookie.
 
 import hashlib
 import hmac
-import json
 import re
 import secrets
 from collections.abc import Awaitable, Callable, Iterator, Mapping
@@ -17,20 +16,17 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from ipaddress import ip_address
 from typing import Any
-from urllib.parse import parse_qs, urlencode
+from urllib.parse import urlencode
 
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
-from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from scanloom.server.connections import require_viser_version
+from scanloom.server.pages import LINK_PATH, own_page, path_of, query_value, text_response
 
-LINK_KEY = "link"
 SocketHandler = Callable[[ServerConnection], Awaitable[None]]
-# Longer than any link to a view; websockets limits the request line to 8192 bytes.
-_MAX_LINK_CHARACTERS = 6_000
 # Duplicates of these would be ambiguous.
 _SINGLE_HEADERS = ("Host", "Origin", "Cookie", "Upgrade")
 _HOST = re.compile(r"[A-Za-z0-9._-]{1,255}(:[0-9]{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](:[0-9]{1,5})?")
@@ -50,25 +46,25 @@ class Guard:
     def check(self, request: Request) -> Response | None:
         """The response to a request that is refused or redirected, None if it is allowed."""
         if any(len(request.headers.get_all(name)) > 1 for name in _SINGLE_HEADERS):
-            return _text_response(HTTPStatus.BAD_REQUEST, "A header came twice.")
+            return text_response(HTTPStatus.BAD_REQUEST, "A header came twice.")
         host = request.headers.get("Host", "")
         if not _HOST.fullmatch(host) or (self.hosts and _without_port(host) not in self.hosts):
-            return _text_response(
+            return text_response(
                 HTTPStatus.FORBIDDEN,
                 "This server has another name. Open the address that it printed.",
             )
         origin = request.headers.get("Origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
-            return _text_response(
+            return text_response(
                 HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server."
             )
         if self.token is None:
             return None
-        if _is_equal(_query_value(request, "token"), self.token):
+        if _is_equal(query_value(request, "token"), self.token):
             return self._set_cookie_response(request)
         if self._has_cookie(request):
             return None
-        return _text_response(
+        return text_response(
             HTTPStatus.FORBIDDEN, "Open the address that the server printed: it holds the token."
         )
 
@@ -87,10 +83,10 @@ class Guard:
 
     def _set_cookie_response(self, request: Request) -> Response:
         """Set the cookie, and redirect to the URL without the token; a link to a view is kept."""
-        view = _query_value(request, "view")
-        to_link = _path(request) == "/go" and view is not None
-        location = f"/go?{urlencode({'view': view})}" if to_link else "/"
-        response = _text_response(HTTPStatus.FOUND, "Go on.")
+        view = query_value(request, "view")
+        to_link = path_of(request) == LINK_PATH and view is not None
+        location = f"{LINK_PATH}?{urlencode({'view': view})}" if to_link else "/"
+        response = text_response(HTTPStatus.FOUND, "Go on.")
         response.headers["Location"] = location
         # Lax, not Strict: a link that is opened from an e-mail must send the cookie.
         response.headers["Set-Cookie"] = f"{self.cookie}; HttpOnly; SameSite=Lax; Path=/"
@@ -147,7 +143,7 @@ def guarded(
 
 def _by_path(sockets: Mapping[str, SocketHandler], other: SocketHandler) -> SocketHandler:
     async def handle(connection: ServerConnection) -> None:
-        path = "" if connection.request is None else _path(connection.request)
+        path = "" if connection.request is None else path_of(connection.request)
         await sockets.get(path, other)(connection)
 
     return handle
@@ -159,16 +155,14 @@ def _with_guard(guard: Guard, pages: Callable[..., Any] | None) -> Callable[...,
         if response is None:
             if request.headers.get("Upgrade", "").lower() == "websocket":
                 return None
-            response = (
-                _link_page(request) if _path(request) == "/go" else _page(connection, request)
-            )
+            response = own_page(request) or _viser_page(connection, request)
         response.headers["Content-Security-Policy"] = _content_security_policy(request)
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["X-Content-Type-Options"] = "nosniff"
         return response
 
-    def _page(connection: Any, request: Request) -> Response:
-        missing = _text_response(HTTPStatus.NOT_FOUND, "There is no such page.")
+    def _viser_page(connection: Any, request: Request) -> Response:
+        missing = text_response(HTTPStatus.NOT_FOUND, "There is no such page.")
         try:
             return missing if pages is None else pages(connection, request) or missing
         except OSError:
@@ -194,52 +188,12 @@ def _content_security_policy(request: Request) -> str:
     )
 
 
-def _link_page(request: Request) -> Response:
-    """The page of a link: stores the view in local storage, and opens the workbench."""
-    view = _query_value(request, "view")
-    if view is None or len(view) > _MAX_LINK_CHARACTERS:
-        return _text_response(
-            HTTPStatus.BAD_REQUEST, "This link holds no view. Copy it again, whole."
-        )
-    # An unescaped "</script>" would end the script.
-    value = json.dumps(view).replace("<", "\\u003c")
-    page = (
-        "<!doctype html><meta charset=utf-8><title>ScanLoom</title><script>"
-        f"localStorage.setItem('viser-user:{LINK_KEY}', {value});"
-        "location.replace('/');</script>"
-    )
-    return _response(HTTPStatus.OK, "text/html; charset=utf-8", page)
-
-
-def _path(request: Request) -> str:
-    return request.path.partition("?")[0]
-
-
-def _query_value(request: Request, name: str) -> str | None:
-    """The value of ``name`` in the query, None unless it occurs exactly once."""
-    values = parse_qs(request.path.partition("?")[2]).get(name, [])
-    return values[0] if len(values) == 1 else None
-
-
 def _is_equal(given: str | None, secret: str) -> bool:
     """Whether two texts are equal, compared in constant time."""
     # websockets decodes non-ASCII bytes as surrogates.
     return given is not None and hmac.compare_digest(
         given.encode("utf-8", "surrogatepass"), secret.encode()
     )
-
-
-def _text_response(status: HTTPStatus, text: str) -> Response:
-    return _response(status, "text/plain; charset=utf-8", f"{text}\n")
-
-
-def _response(status: HTTPStatus, kind: str, text: str) -> Response:
-    body = text.encode()
-    headers = Headers()
-    headers["Content-Type"] = kind
-    headers["Content-Length"] = str(len(body))
-    headers["Cache-Control"] = "no-store"
-    return Response(status, status.phrase, headers, body)
 
 
 def _without_port(host: str) -> str:

@@ -3,13 +3,16 @@
 import io
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import viser
+from viser.infra import WebsockClientConnection
 
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.workflows.fuse.session import FuseOptions
@@ -17,6 +20,7 @@ from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.page import browser_storage as storage
 from scanloom.page.layout import FIRST_WINDOW_PX, page_sizes
 from scanloom.panels.registry import add_panels
+from scanloom.plots.text import text_width
 from scanloom.resources import SAMPLE_FRAME, sample_path
 from scanloom.server.connections import Connections
 from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
@@ -26,7 +30,8 @@ from scanloom.server.message_filter import (
     disable_share_tunnel,
     restrict_gui_updates,
 )
-from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
+from scanloom.server.pages import LINK_KEY, prepare_start_page
+from scanloom.server.security import Guard, guard_for, guarded
 from scanloom.server.sending import send_without_fail
 from scanloom.server.upload_socket import UPLOAD_PATH, receive_upload
 from scanloom.state.library import Library
@@ -91,6 +96,8 @@ class Workbench:
         self.guard: Guard = guard_for(options.host)
         self._options = options
         self._sessions: dict[int, ClientSession] = {}
+        self._stored_views: WeakKeyDictionary[WebsockClientConnection, Future[storage.Answers]]
+        self._stored_views = WeakKeyDictionary()
         self._lock = threading.Lock()
         self._is_closed = False
         # They open or close a session.
@@ -131,9 +138,12 @@ class Workbench:
         scene.configure_default_lights(cast_shadow=False)
         # Without that photograph, what the lights do not reach would be black.
         scene.add_light_ambient("/ambient_light", intensity=_AMBIENT_LIGHT)
-        self._server._websock_server.on_client_connect(send_without_fail)
+        sockets = self._server._websock_server
+        sockets.on_client_connect(send_without_fail)
+        sockets.on_client_connect(self._request_stored_view)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
+        self._run_in_thread("prepare", _prepare)
 
     @property
     def address(self) -> str:
@@ -172,17 +182,28 @@ class Workbench:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
+    def _request_stored_view(self, connection: WebsockClientConnection) -> None:
+        """Request it at once: viser counts a browser as connected after its first picture only."""
+        stored_view: Future[storage.Answers] = Future()
+        self._stored_views[connection] = stored_view
+        storage.request_from(connection, (LINK_KEY, STORED_VIEW), stored_view.set_result)
+
     async def _on_connect(self, client: viser.ClientHandle) -> None:
         """Open a session once the browser has sent its stored view."""
         restrict_gui_updates(client.gui, _ignore_refusal)
 
-        def on_answer(answers: storage.Answers) -> None:
+        def open_session(stored_view: Future[storage.Answers]) -> None:
+            answers = stored_view.result()
             if answers[LINK_KEY] is not None:
                 client.local_storage.remove_item(LINK_KEY)
             links = [link for key in (LINK_KEY, STORED_VIEW) if (link := answers[key]) is not None]
             self._run_in_thread("connect", self._open_session, client, links)
 
-        storage.request_items(client, (LINK_KEY, STORED_VIEW), on_answer)
+        connection = client._websock_connection
+        if connection not in self._stored_views:
+            # A page that was left open may connect while the server starts.
+            self._request_stored_view(connection)
+        self._stored_views[connection].add_done_callback(open_session)
 
     def _open_session(self, client: viser.ClientHandle, links: list[str]) -> None:
         try:
@@ -247,6 +268,13 @@ class Workbench:
             session = self._sessions.pop(client_id, None)
         if session is not None:
             session.close()
+
+
+def _prepare() -> None:
+    """What the first session would wait for, done while a browser starts."""
+    prepare_start_page()
+    # The first text on a picture imports matplotlib.
+    text_width("0")
 
 
 def _ignore_refusal(client_id: int, reason: str) -> None:

@@ -21,6 +21,20 @@ def test_the_page_shows_the_scene_and_the_panel(person: Person, small_scene: Pat
     person.wait_until(lambda: 0.005 < coloured_fraction(person, left, right) < 0.9)
 
 
+def test_the_page_has_its_name_and_docks_that_stand_still(person: Person) -> None:
+    expect(person.page).to_have_title("ScanLoom")
+    # A dock that is eased into place draws the whole scene at each step.
+    eased = """let moving = [];
+        for (let one = document.querySelector("canvas[data-engine]"); one; one = one.parentElement)
+            moving.push(getComputedStyle(one).transitionDuration);
+        [...document.querySelectorAll("[data-dock-group]")].forEach(one =>
+            moving.push(getComputedStyle(one).transitionDuration));
+        moving"""
+    durations = person.page.evaluate(eased)
+    assert len(durations) > 5
+    assert set(durations) == {"0s"}
+
+
 def test_the_legend_over_the_scene_switches_a_layer(person: Person) -> None:
     legend = person.page.get_by_role("group", name="Legend", exact=True).last
     curve = legend.get_by_role("button", name="LiDAR curve")

@@ -24,7 +24,7 @@ from scanloom.state.slam_choices import (
 )
 from scanloom.state.view import MAP_MODES, PANELS, Scope, View, view_of_link
 
-# What the page of a link takes (scanloom.server.security), and what a URL holds without being
+# What the page of a link takes (scanloom.server.pages), and what a URL holds without being
 # escaped.
 LONGEST_LINK = 6_000
 IN_A_URL = re.compile(r"[A-Za-z0-9_-]+")
