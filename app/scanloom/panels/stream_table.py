@@ -24,7 +24,7 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
     duration_s = described["duration_s"]
     time = "" if duration_s is None else f", {duration_text(duration_s)}"
     return (
-        "<div style='padding:0 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
+        "<div style='padding:0 0.8em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"<div>{html.escape(described['format'])}{time}</div>"
         + _paragraphs(warnings)
         + f"<table class='scanloom-streams'><tr>{head}</tr>{rows}</table>"
