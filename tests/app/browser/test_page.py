@@ -72,6 +72,7 @@ def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
         person.wait_until(lambda rows=rows: are_in_a_row(rows))  # type: ignore[misc]
         # It could not be dragged if it were shorter.
         person.wait_until(lambda: width_px(slider) > 60)
+        person.wait_until(lambda: bottom_px(person.live("profile")) < 720)
         person.page.keyboard.press("p")
     person.page.context.close()
 
@@ -79,6 +80,12 @@ def test_a_smaller_window_and_larger_letters_arrange_the_page_anew(
 def are_in_a_row(places: list[Locator]) -> bool:
     tops_px = {round(box["y"]) for place in places if (box := place.bounding_box()) is not None}
     return len(tops_px) == 1
+
+
+def bottom_px(locator: Locator) -> float:
+    box = locator.bounding_box()
+    assert box is not None
+    return float(box["y"] + box["height"])
 
 
 def width_px(locator: Locator) -> float:
