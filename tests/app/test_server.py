@@ -149,17 +149,34 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
 def test_a_session_ends_with_its_browser_even_half_built(
     workbench: Workbench, last_seen: str
 ) -> None:
-    def threads() -> set[str]:
-        return {t.name for t in threading.enumerate() if t.name.startswith(("session", "play"))}
-
     def ended() -> bool:
-        return not workbench.sessions and not threads()
+        return not workbench.sessions and not threads_of_sessions()
 
     assert comes_true(ended)
     with connect(workbench.address, storage={}) as client:
         client.find(last_seen)
-        assert threads()
+        assert threads_of_sessions()
     assert comes_true(ended)
+
+
+def test_a_session_whose_page_cannot_be_built_leaves_nothing_behind(
+    workbench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert comes_true(lambda: not threads_of_sessions())
+    begun = threading.Event()
+
+    def add_no_panels(*_: object) -> None:
+        begun.set()
+        raise RuntimeError("no panels today")
+
+    monkeypatch.setattr("scanloom.server.workbench.add_panels", add_no_panels)
+    with connect(workbench.address, storage={}):
+        assert begun.wait(ENOUGH_S)
+        assert comes_true(lambda: not threads_of_sessions())
+
+
+def threads_of_sessions() -> set[str]:
+    return {t.name for t in threading.enumerate() if t.name.startswith(("session", "play"))}
 
 
 def test_a_view_that_cannot_be_opened_gives_way_to_the_one_before(

@@ -220,8 +220,12 @@ class Workbench:
             view,
             after_drawing=lambda start: storage.call_when_taken_in(client, start, _DRAWN_WITHIN_S),
         )
-        with session.building():
-            add_panels(client, session, self._options.output_root)
+        try:
+            with session.building():
+                add_panels(client, session, self._options.output_root)
+        except Exception:
+            session.close()
+            raise
         with self._lock:
             self._sessions[client.client_id] = session
             is_closed = self._is_closed
