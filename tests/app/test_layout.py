@@ -29,3 +29,19 @@ def test_much_of_the_scene_is_not_covered(window_px: tuple[int, int], is_large: 
     assert 0 < above_px + below_px < (0.57 if is_large else 0.56) * window_px[1]
     sizes = page_sizes(*window_px, is_large=is_large)
     assert below_px >= (sizes.bottom_px if window_px[0] >= 768 else 0)
+
+
+@pytest.mark.parametrize("is_large", [False, True])
+@pytest.mark.parametrize("window_px", [(1600, 900), (1280, 720), (1920, 1080)])
+def test_without_depth_images_the_scene_has_their_width(
+    window_px: tuple[int, int], is_large: bool
+) -> None:
+    full = page_sizes(*window_px, is_large=is_large)
+    alone = page_sizes(*window_px, is_large=is_large, has_depth=False)
+    more_px = alone.between_px - full.between_px
+    # Large controls share what becomes free.
+    assert more_px + alone.right_px - full.right_px == full.left_px - alone.left_px >= 60
+    assert more_px > 0
+    assert alone.right_px >= full.right_px
+    assert alone.profile_px[0] > full.profile_px[0]
+    assert alone.bottom_px == full.bottom_px

@@ -10,6 +10,8 @@ import viser
 _WIDE_PX = 1400
 _LEFT_PX, _RIGHT_PX = 430, 400
 _NARROW_LEFT_PX, _NARROW_RIGHT_PX = 300, 330
+# Of the left column where it only says that there are no depth images; viser scrolls narrower ones.
+_EMPTY_LEFT_PX = 240
 _BOTTOM_PX, _LOW_BOTTOM_PX = 340, 300
 _LOW_SCREEN_PX = 800
 # Large letters need the higher panel on a projector's screen too.
@@ -52,11 +54,16 @@ class PageSizes:
     profile_px: tuple[int, int]
 
 
-def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> PageSizes:
+def page_sizes(
+    width_px: int, height_px: int, *, is_large: bool = False, has_depth: bool = True
+) -> PageSizes:
     """The sizes for a window of this size. ``is_large``: pictures are drawn smaller, the page
-    enlarges them with their letters, and the controls have a wider column."""
+    enlarges them with their letters, and the controls have a wider column. Without depth images
+    (``has_depth``) the scene has most of the left column's width."""
     is_wide, is_phone = width_px >= _WIDE_PX, width_px < _PHONE_PX
     left_px, right_px = (_LEFT_PX, _RIGHT_PX) if is_wide else (_NARROW_LEFT_PX, _NARROW_RIGHT_PX)
+    if not has_depth:
+        left_px = _EMPTY_LEFT_PX
     if is_large:
         free_px = math.floor((1.0 - _SCENE_SHARE) * width_px) - left_px - 2 * _GAP_PX
         right_px = max(min(round(_LARGE * right_px), free_px), right_px)

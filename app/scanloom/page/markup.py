@@ -45,7 +45,7 @@ def name_html(name: str, *, is_broken: bool = False) -> str:
 def paragraph(text: str) -> str:
     """A paragraph in small type."""
     return (
-        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
+        "<div style='padding:0.2em 0.8em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"{html.escape(escape_undecodable(text))}</div>"
     )
 

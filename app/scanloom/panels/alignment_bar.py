@@ -9,7 +9,7 @@ from scanloom.client_session import Panel
 from scanloom.frame_view import FrameView, alignment_progress_text, failure_summary
 from scanloom.page.update_widget import update_widget
 
-_BOX = "padding:0.3em 0.5em 0.5em;font-size:0.85em;overflow-wrap:anywhere"
+_BOX = "padding:0.3em 0.8em 0.5em;font-size:0.85em;overflow-wrap:anywhere"
 # Grey on any ground: the page may be light or dark.
 _TRACK = "height:6px;border-radius:3px;background:rgba(128,136,144,0.3);overflow:hidden"
 _FILLED = "#1c7ed6"

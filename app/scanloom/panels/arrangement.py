@@ -26,11 +26,13 @@ class ArrangementPanel(Panel):
         self._layout, self._pictures = layout, pictures
         self._timeline, self._profile = timeline, profile
         self._sizes: PageSizes | None = None
+        self._has_depth = True
         self._arrange(is_large=session.view.large_text)
         bridge.on_screen(self._on_screen)
 
     def show(self, frame_view: FrameView) -> None:
-        """Size the page for the window and the view's size of letters."""
+        """Size the page for the window, the view's size of letters, and what there is to see."""
+        self._has_depth = frame_view.open_recording.opened.session is not None
         self._arrange(is_large=frame_view.view.large_text)
 
     def _on_screen(self, screen: Screen) -> None:
@@ -40,7 +42,7 @@ class ArrangementPanel(Panel):
         self._session.refresh()
 
     def _arrange(self, *, is_large: bool) -> None:
-        sizes = page_sizes(*self._session.window_px, is_large=is_large)
+        sizes = page_sizes(*self._session.window_px, is_large=is_large, has_depth=self._has_depth)
         if sizes == self._sizes:
             return
         self._sizes = sizes

@@ -21,7 +21,7 @@ def differing_html(cells: int) -> str:
     color = css_color(DIFFERING_COLOR)
     many = "1 cell is" if cells == 1 else f"{cells} cells are"
     return (
-        '<div style="padding:0.2em 0.5em;font-size:0.85em">'
+        '<div style="padding:0.2em 0.8em;font-size:0.85em">'
         f"{many} another by Table 3 than by Bayes' rule (10): "
         f'<b style="color:{color}">outlined</b> on the map.</div>'
     )

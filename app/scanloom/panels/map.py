@@ -310,7 +310,7 @@ def _report(built: Build, *, changed: bool) -> str:
         report_line(line.replace("+-", "±"))
         for line in built.summary.lines()
     )
-    return f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}{lines}</div>"
+    return f"<div style='padding:0 0.8em;font-size:0.85em'>{paragraphs}{lines}</div>"
 
 
 def _why_no_maps(built: Build) -> str:

@@ -24,7 +24,7 @@ def run_report_html(run: SlamRun) -> str:
         message = html.escape(f"{run.problem.problem} {run.problem.advice}")
         problem = f"<p style='margin:0.3em 0'><b>Not reliable:</b> {message}</p>"
     lines = "".join(report_line(f"{name:<11}{text}") for name, text in report_lines(run))
-    return f"<div style='padding:0 0.5em;font-size:0.85em'>{problem}{lines}</div>"
+    return f"<div style='padding:0 0.8em;font-size:0.85em'>{problem}{lines}</div>"
 
 
 def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
