@@ -11,4 +11,12 @@
     const address = resource instanceof Request ? resource.url : String(resource);
     return address.startsWith("data:image/jpeg;") ? new Promise(() => {}) : fetch(resource, options);
   };
+
+  // The style of this page puts the scene where the docks will leave it room: it would be drawn over
+  // the whole window first. It ends once the session shows something, for people move docks.
+  new MutationObserver((_, observer) => {
+    if (!document.querySelector(".scanloom-verdict")) return;
+    observer.disconnect();
+    requestAnimationFrame(() => document.querySelector("style[data-before-docks]").remove());
+  }).observe(document, { childList: true, subtree: true });
 })();

@@ -2,7 +2,7 @@
 
 import pytest
 
-from scanloom.page.layout import covered_px, page_sizes
+from scanloom.page.layout import covered_px, page_sizes, scene_place_css
 
 
 @pytest.mark.parametrize("is_large", [False, True])
@@ -45,3 +45,13 @@ def test_without_depth_images_the_scene_has_their_width(
     assert alone.right_px >= full.right_px
     assert alone.profile_px[0] > full.profile_px[0]
     assert alone.bottom_px == full.bottom_px
+
+
+def test_the_scene_is_kept_where_the_docks_leave_it_room() -> None:
+    css = scene_place_css()
+    for window_px, least_px in (((1600, 900), 1400), ((1280, 720), 768)):
+        sizes = page_sizes(*window_px)
+        place = f"left: {sizes.left_px + 4}px !important; right: {sizes.right_px + 4}px !important;"
+        assert any(
+            f"(min-width: {least_px}px)" in line and place in line for line in css.splitlines()
+        )

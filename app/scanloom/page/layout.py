@@ -21,6 +21,10 @@ _GAP_PX = 12
 _LEGEND_LINE_PX = 27
 # With a smaller scene the floating panel is as wide as this.
 _LEAST_WIDTH_PX = 320
+# What viser keeps free between a dock and the scene.
+_DOCK_EDGE_PX = 4
+# viser's frame of the scene, in words that hold before anything is drawn in it.
+_SCENE = "[data-dock-root] > div:has(> div > div > div > canvas)"
 # What viser takes of a panel for its head and its margins.
 _HEAD_PX, _LARGE_HEAD_PX, _MARGIN_PX = 90, 124, 20
 # What the time panel shows beside the range profile.
@@ -98,6 +102,17 @@ def covered_px(width_px: int, height_px: int, *, is_large: bool = False) -> tupl
     lines = 1 if width_px >= _WIDE_PX else 2
     bottom_px = page_sizes(width_px, height_px, is_large=is_large).bottom_px
     return lines * _LEGEND_LINE_PX, bottom_px + _GAP_PX
+
+
+def scene_place_css() -> str:
+    """A style that keeps the scene where the docks leave it room, for the time before they come."""
+    rules = []
+    for least_px in (_PHONE_PX, _WIDE_PX):
+        sizes = page_sizes(least_px, FIRST_WINDOW_PX[1])
+        left_px, right_px = sizes.left_px + _DOCK_EDGE_PX, sizes.right_px + _DOCK_EDGE_PX
+        place = f"left: {left_px}px !important; right: {right_px}px !important;"
+        rules.append(f"@media (min-width: {least_px}px) {{ {_SCENE} {{ {place} }} }}")
+    return "\n".join(rules)
 
 
 class PageLayout:

@@ -1,7 +1,7 @@
 """The server's own pages: the start page, and the page of a link to a view.
 
 The start page is viser's, whose single file holds its scripts and styles, with ScanLoom's name and
-icon, and with a script that runs before viser's.
+icon, and with a style and a script that come before viser's.
 """
 
 import base64
@@ -16,6 +16,7 @@ import viser
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from scanloom.page.layout import scene_place_css
 from scanloom.resources import static_path
 
 LINK_KEY = "link"
@@ -70,8 +71,12 @@ def _start_html() -> str:
     html = Path(viser.__file__).with_name("client").joinpath("build/index.html").read_text("utf-8")
     icon = base64.b64encode(static_path("logo.svg").read_bytes()).decode()
     script = static_path("start.js").read_text("utf-8")
+    head = (
+        f"<title>ScanLoom</title><style data-before-docks>{scene_place_css()}</style>"
+        f"<script>{script}</script>"
+    )
     # Of several titles in a page the first counts, of several icons the last.
-    html = html.replace("<head>", f"<head><title>ScanLoom</title><script>{script}</script>", 1)
+    html = html.replace("<head>", f"<head>{head}", 1)
     link = f'<link rel="icon" type="image/svg+xml" href="data:image/svg+xml;base64,{icon}"/>'
     return html.replace("</head>", f"{link}</head>", 1)
 

@@ -7,6 +7,7 @@ from playwright.sync_api import Locator, expect
 
 from fusion_core.workflows.info import info
 from scanloom.page.layout import page_sizes
+from scanloom.server.workbench import Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import Person, colourful
 
@@ -33,6 +34,23 @@ def test_the_page_has_its_name_and_docks_that_stand_still(person: Person) -> Non
     durations = person.page.evaluate(eased)
     assert len(durations) > 5
     assert set(durations) == {"0s"}
+
+
+def test_the_scene_stands_where_it_stays_from_its_first_moment(
+    arrive: Callable[..., Person], workbench: Workbench
+) -> None:
+    person = arrive(viewport={"width": 1600, "height": 900})
+    person.page.add_init_script("""window.places = new Set();
+        new MutationObserver(() => {
+            const box = document.querySelector("canvas[data-engine]")?.getBoundingClientRect();
+            if (box?.width) places.add(`${Math.round(box.left)} ${Math.round(box.width)}`);
+        }).observe(document, { attributes: true, childList: true, subtree: true });""")
+    person.reload(workbench)
+    person.wait_until_on_page()
+    # From then on people move the docks.
+    expect(person.page.locator("style[data-before-docks]")).to_have_count(0)
+    assert len(person.page.evaluate("[...places]")) == 1
+    person.page.context.close()
 
 
 def test_the_legend_over_the_scene_switches_a_layer(person: Person) -> None:
