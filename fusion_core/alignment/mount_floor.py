@@ -17,8 +17,11 @@ from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll
-from fusion_core.model.robust import robust_sigma
-from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
+from fusion_core.model.two_way_covariance import (
+    frame_blocks,
+    shared_grouping,
+    two_way_covariance,
+)
 
 # So many frames, and rows of each with columns as far apart: more have the same errors.
 _FRAMES = 24
@@ -105,7 +108,8 @@ def _fit_floor(
         information = design.T @ design
         if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
             return None
-        noise = min(noise, robust_sigma(off[near]))
+        # Not from a median: more than half may be of one step of disparity, and fit exactly.
+        noise = min(noise, float(np.sqrt(np.mean(off[near] ** 2))))
         plane = np.linalg.solve(information, design.T @ (inverse[near] / scale[near])).astype(float)
     pitch = _pitch_rad(plane)
     heights_m = (rays * depth_m[:, None]) @ (-plane / np.linalg.norm(plane))
@@ -120,13 +124,16 @@ def _fit_floor(
     off = (inverse[near] - rays[near] @ plane) / scale[near] / noise
     design = design / noise
     scores = off[:, None] * design
-    place = headings_rad[frame[near]] + np.arctan2(rays[near, 1], rays[near, 0])
+    azimuth_rad = headings_rad[frame[near]] + np.arctan2(rays[near, 1], rays[near, 0])
+    place = np.floor(azimuth_rad / PLACE_RAD).astype(np.int64)
+    # The depths of a row have the rounding of their disparity in common, whatever their direction.
+    row = np.concatenate([view.row for view in views])[near]
     covariance = two_way_covariance(
         scores,
         design[:, :, None] * design[:, None, :],
         np.zeros((3, 3)),
         frame_blocks(scores, frame[near]),
-        np.floor(place / PLACE_RAD).astype(np.int64),
+        shared_grouping(off, (place, row)),
     )
     if covariance is None:
         return None

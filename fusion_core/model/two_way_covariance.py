@@ -13,11 +13,13 @@ factor 1.3. What is unbiased there (Bell and McCaffrey 2002) is too bold where e
 and so few blocks do not tell which of the two they are.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 
-# Frames whose scores correlate by less than this many standard errors count as independent.
+# What correlates by less than this many standard errors counts as independent.
 _CORRELATION_SE = 2.0
 # At least so many blocks of frames: fewer say nothing of a deviation.
 _LEAST_BLOCKS = 4
@@ -77,6 +79,24 @@ def correlation_length(series: FloatArray) -> int:
             return lag
     longest: int = max(1, count // _LEAST_BLOCKS)
     return longest
+
+
+def shared_grouping(residuals: FloatArray, groupings: Sequence[IntArray]) -> IntArray:
+    """The (N,) grouping within which the residuals correlate most; each point by itself where they
+    correlate significantly within none."""
+    correlated = [_correlation_se(residuals, _label(grouping)) for grouping in groupings]
+    most = int(np.argmax(correlated))
+    if correlated[most] <= _CORRELATION_SE:
+        return np.arange(residuals.size, dtype=np.int64)
+    return groupings[most]
+
+
+def _correlation_se(residuals: FloatArray, label: IntArray) -> float:
+    """Sum of the products of all pairs within groups, in its standard errors were none correlated;
+    0 where every group has one point."""
+    sums, squares, fourths = (np.bincount(label, residuals**power) for power in (1, 2, 4))
+    sd = np.sqrt(2.0 * float((squares**2 - fourths).sum()))
+    return float((sums**2 - squares).sum()) / sd if sd > 0.0 else 0.0
 
 
 def _label(*groupings: IntArray) -> IntArray:

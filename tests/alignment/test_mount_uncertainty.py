@@ -10,8 +10,12 @@ from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_floor import find_floor_tilt
 from fusion_core.alignment.mount_height import keep_sight
 from fusion_core.model.rig import Mount
-from fusion_core.model.two_way_covariance import correlation_length, two_way_covariance
-from tests.alignment.test_mount import SETTINGS, drive, random_mount
+from fusion_core.model.two_way_covariance import (
+    correlation_length,
+    shared_grouping,
+    two_way_covariance,
+)
+from tests.alignment.test_mount import LENS, SETTINGS, drive, random_mount
 
 
 def test_independent_frames_are_blocks_of_their_own() -> None:
@@ -66,6 +70,18 @@ def test_few_blocks_are_never_too_bold_where_points_share_nothing() -> None:
     assert ((mean > 0.1) & (mean < 1.0)).all(), mean
 
 
+def test_the_grouping_that_shares_errors_is_found() -> None:
+    rng = np.random.default_rng(3)
+    first, second = (grid.ravel() for grid in np.mgrid[0:20, 0:30])
+    noise = rng.normal(size=first.size)
+    for shared in (first, second):
+        residuals = noise + 0.3 * rng.normal(size=30)[shared]
+        assert shared_grouping(residuals, (first, second)) is shared
+    alone = shared_grouping(noise, (first, second))
+    assert np.unique(alone).size == noise.size
+    assert np.unique(shared_grouping(noise, (alone,))).size == noise.size
+
+
 def test_too_few_groups_state_nothing() -> None:
     scores, information = np.ones((6, 1)), np.ones((6, 1, 1))
     label = np.array([0, 0, 1, 1, 2, 2])
@@ -97,6 +113,30 @@ def test_the_floor_shows_the_pitch(furnished_room, seed: int) -> None:
     error = found.pitch_rad - mount.pitch_rad
     assert abs(error) < np.deg2rad(0.5)
     assert abs(error) < 4.0 * found.pitch_sd_rad
+
+
+def test_depths_of_few_steps_state_no_exact_pitch(furnished_room) -> None:
+    """A camera that is all but level sees a row of a floor at one step of disparity, in all of its
+    frames: the errors do not average out, and of some rows the steps lie on a plane exactly."""
+    rng = np.random.default_rng(0)
+    height_m, wall_m = 0.6, 3.5
+    # In 1/m: those of a first Kinect, and half of one as noise.
+    step, noise = 2.85e-3, 1.2e-3
+    below = (np.arange(LENS.height) - LENS.cy) / LENS.fy
+    observed = drive(furnished_room, random_mount(0), 0, count=24)
+    headings_rad = MountCost(observed, SETTINGS).headings_rad()
+    normalised = []
+    for pitch_rad in np.deg2rad([-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]):
+        inverse = (below * np.cos(pitch_rad) + np.sin(pitch_rad)) / height_m
+        inverse = np.repeat(np.maximum(inverse, 1.0 / wall_m)[:, None], LENS.width, axis=1)
+        frames = []
+        for frame in observed:
+            steps = np.rint((inverse + rng.normal(0.0, noise, inverse.shape)) / step)
+            frames.append(replace(frame, raw_depth_m=(1.0 / (steps * step)).astype(np.float32)))
+        found = find_floor_tilt(frames, headings_rad, SETTINGS)
+        assert found is not None
+        normalised.append((found.pitch_rad - pitch_rad) / found.pitch_sd_rad)
+    assert np.mean(np.square(normalised)) < 2.0, normalised
 
 
 @pytest.mark.parametrize("roll_deg", [-5.0, -2.5, 1.0, 4.0])
