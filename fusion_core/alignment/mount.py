@@ -132,8 +132,8 @@ def estimate_mount(
             found = free
     sd = np.where(found.sd <= OBSERVABLE_SD, found.sd, np.inf)
     if not np.isfinite(sd[0]):
-        # Forward and left are along the yaw.
-        sd[[2, 3]] = np.inf
+        # Forward and left are along the yaw, and a delay turns it.
+        sd[[2, 3, CLOCK]] = np.inf
     mount = Mount.from_vector(
         found.values, tuple(float(value) if np.isfinite(value) else None for value in sd)
     )
@@ -193,7 +193,7 @@ def _find_mount(
     found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
-    spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
+    spread = heights.sd()
     # One block of frames has no spread.
     is_height_known = problem.blocks > 1 and not heights.is_at_bound
     sd[1] = spread[1] if is_height_known else np.inf

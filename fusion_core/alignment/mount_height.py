@@ -43,6 +43,14 @@ class HeightSamples:
         read_only(self.best)
         read_only(self.mounts)
 
+    def sd(self) -> FloatArray:
+        """(6,) how far the replicates lie from the best, and within a step of the grid from the
+        true height."""
+        squares = np.mean((self.mounts - self.best) ** 2, axis=0)
+        squares[1] += _HEIGHT_STEP_M**2 / 12.0
+        deviations: FloatArray = np.sqrt(squares)
+        return deviations
+
 
 def keep_sight(
     values: FloatArray, range_m: float, delta_z_m: float, pitch_rad: float

@@ -45,14 +45,19 @@ def search_mounts(
 def choose_mount(
     problem: MountCost, fits: list[FloatArray], yaw_rad: float
 ) -> tuple[FloatArray, bool]:
-    """The best fit near the rows' yaw, unless another is significantly better; and whether the two
-    cannot be distinguished."""
+    """The best fit near the rows' yaw, unless another is significantly better; and whether it is
+    not significantly better than all that have another yaw."""
     near = [fit for fit in fits if angle_between_rad(fit[0], yaw_rad) < SAME_YAW_RAD]
     best = min(near or fits, key=problem.mean_cost)
-    rival = min(fits, key=problem.mean_cost)
-    if angle_between_rad(rival[0], best[0]) < SAME_YAW_RAD:
-        return best, False
-    return (rival, False) if is_significantly_better(problem, rival, best) else (best, True)
+    cheapest = min(fits, key=problem.mean_cost)
+    if not _have_same_yaw(cheapest, best) and is_significantly_better(problem, cheapest, best):
+        best = cheapest
+    rivals = [fit for fit in fits if not _have_same_yaw(fit, best)]
+    return best, not all(is_significantly_better(problem, best, rival) for rival in rivals)
+
+
+def _have_same_yaw(fit: FloatArray, other: FloatArray) -> bool:
+    return bool(angle_between_rad(fit[0], other[0]) < SAME_YAW_RAD)
 
 
 def is_significantly_better(problem: MountCost, fit: FloatArray, other: FloatArray) -> bool:

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from fusion_core.alignment.mount_observation import (
     mount_observation,
     remove_speckle,
 )
+from fusion_core.alignment.mount_search import choose_mount
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
@@ -194,6 +196,57 @@ def test_height_and_pitch_are_unobservable_in_a_plain_room(box_room) -> None:
         found = trial(drive(box_room(), truth, seed), truth)
         assert found.estimate.mount.sd[1] is None
         assert found.errors[0] == pytest.approx(0.0, abs=np.deg2rad(1.0))
+
+
+@dataclass(frozen=True)
+class BlockCosts:
+    """Stands in for a MountCost: the costs of some yaws by blocks of frames."""
+
+    costs_of_yaw: dict[float, list[float]]
+
+    def block_costs(self, values: np.ndarray) -> np.ndarray:
+        return np.array(self.costs_of_yaw[float(values[0])])
+
+    def mean_cost(self, values: np.ndarray) -> float:
+        return float(self.block_costs(values).mean())
+
+
+@pytest.mark.parametrize(
+    ("rival_costs", "chosen", "is_ambiguous"),
+    [
+        ([0.5, 0.6, 0.5, 0.6], 0.1, False),
+        ([0.1, 0.3, 0.2, 0.22], 0.1, True),
+        ([0.19, 0.21, 0.18, 0.2], 0.1, True),
+        ([0.05, 0.06, 0.05, 0.06], 1.7, False),
+    ],
+    ids=["clearly worse", "a little worse", "a little better", "clearly better"],
+)
+def test_a_yaw_is_stated_where_its_rivals_are_clearly_worse(
+    rival_costs: list[float], chosen: float, is_ambiguous: bool
+) -> None:
+    problem = BlockCosts(
+        {0.1: [0.2, 0.21, 0.19, 0.2], 0.12: [0.2, 0.22, 0.2, 0.2], 1.7: rival_costs}
+    )
+    fits = [np.array([yaw, 0.0, 0.0, 0.0, 0.0, 0.0]) for yaw in problem.costs_of_yaw]
+    best, found_ambiguous = choose_mount(cast(MountCost, problem), fits, yaw_rad=0.11)
+    assert (best[0], found_ambiguous) == (chosen, is_ambiguous)
+
+
+def test_where_the_yaw_is_not_known_neither_is_what_goes_with_it(box_room) -> None:
+    """A robot turns about the middle of a square room: a quarter of a turn changes next to
+    nothing, though the true yaw agrees a little better than the others."""
+    room = box_room(size_m=(5.0, 5.0, 2.6))
+    rng = np.random.default_rng(0)
+    truth = Mount(yaw_rad=0.1, delta_z_m=0.2, forward_m=0.04, left_m=-0.03)
+    frames = []
+    for turned in np.linspace(0.0, 2.0 * np.pi, 12):
+        x, y = rng.normal(2.5, 0.02, 2)
+        frames.append(frame_at(room, truth, (x, y, turned), rng=rng))
+    estimate = trial(frames, truth).estimate
+    assert estimate.agreement > 0.9
+    assert not estimate.is_confident
+    # Forward and left are along the yaw, and a delay turns it.
+    assert [estimate.mount.sd[index] for index in (0, 2, 3, 5)] == [None] * 4
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4], ids=["standing still", "turning steadily"])

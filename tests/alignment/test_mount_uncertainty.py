@@ -8,7 +8,7 @@ import pytest
 from fusion_core.alignment.mount import estimate_mount
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_floor import find_floor_tilt
-from fusion_core.alignment.mount_height import keep_sight
+from fusion_core.alignment.mount_height import HeightSamples, keep_sight
 from fusion_core.model.rig import Mount
 from fusion_core.model.two_way_covariance import (
     correlation_length,
@@ -86,6 +86,14 @@ def test_too_few_groups_state_nothing() -> None:
     scores, information = np.ones((6, 1)), np.ones((6, 1, 1))
     label = np.array([0, 0, 1, 1, 2, 2])
     assert two_way_covariance(scores, information, np.zeros((1, 1)), label, label) is None
+
+
+def test_replicates_that_agree_are_known_to_a_step_of_the_grid() -> None:
+    best = np.array([0.1, 0.3, 0.05, 0.0, 0.02, 0.0])
+    samples = HeightSamples(
+        best=best, mounts=np.tile(best, (20, 1)), is_at_bound=False, range_m=2.0
+    )
+    assert samples.sd() == pytest.approx([0.0, 0.05 / np.sqrt(12.0), 0.0, 0.0, 0.0, 0.0])
 
 
 def test_an_upright_wall_stays_in_sight() -> None:
