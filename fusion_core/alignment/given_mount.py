@@ -173,8 +173,7 @@ def _move_within_doubt(
     found = fit_in_plane(problem, lines, [heights.best], priors)
     sd[IN_PLANE] = found.sd[IN_PLANE]
     spread = heights.sd()
-    # One block of frames has no spread.
-    sd[1] = spread[1] if problem.blocks > 1 and not heights.is_at_bound else np.inf
+    sd[1] = spread[1]
     sd[2] = np.hypot(sd[2], spread[2])
     return found.values, sd
 

@@ -27,10 +27,9 @@ from fusion_core.alignment.mount_height import (
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_refinement import ScanLines
 from fusion_core.alignment.mount_search import (
-    SAME_YAW_RAD,
-    angle_between_rad,
     choose_mount,
     delta_z_profile,
+    have_same_yaw,
     is_significantly_better,
     search_mounts,
 )
@@ -188,15 +187,13 @@ def _find_mount(
     starts = [
         keep_sight(fit, heights.range_m, float(heights.best[1]), float(heights.best[4]))
         for fit in fits
-        if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
+        if have_same_yaw(fit[0], best[0])
     ]
     found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
     spread = heights.sd()
-    # One block of frames has no spread.
-    is_height_known = problem.blocks > 1 and not heights.is_at_bound
-    sd[1] = spread[1] if is_height_known else np.inf
+    sd[1] = spread[1]
     sd[4] = np.inf if floor is None else floor.pitch_sd_rad
     tilt_m = spread[2] if floor is None else abs(heights.best[1]) * floor.pitch_sd_rad
     sd[2] = np.hypot(sd[2], tilt_m)

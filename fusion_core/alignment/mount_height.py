@@ -30,13 +30,14 @@ class HeightSamples:
     """Bootstrap of what stands out of the LiDAR's plane.
 
     ``best``: (6,) the best mount of the grid; ``mounts``: (B, 6) the best of each replicate;
-    ``is_at_bound``: whether ``best`` is at the end of the heights. ``range_m``: the median distance
-    ahead of the points between the sides of the images, at which the sight line was held.
+    ``is_height_known``: whether ``best`` is not at the end of the heights, and there are blocks of
+    frames to draw from: one has no spread. ``range_m``: the median distance ahead of the points
+    between the sides of the images, at which the sight line was held.
     """
 
     best: FloatArray
     mounts: FloatArray
-    is_at_bound: bool
+    is_height_known: bool
     range_m: float
 
     def __post_init__(self) -> None:
@@ -44,10 +45,10 @@ class HeightSamples:
         read_only(self.mounts)
 
     def sd(self) -> FloatArray:
-        """(6,) how far the replicates lie from the best, and within a step of the grid from the
-        true height."""
+        """(6,) how far the replicates lie from the best; that of Delta z infinite where it is not
+        known, and elsewhere at least that of a value within a step of the grid."""
         squares = np.mean((self.mounts - self.best) ** 2, axis=0)
-        squares[1] += _HEIGHT_STEP_M**2 / 12.0
+        squares[1] += _HEIGHT_STEP_M**2 / 12.0 if self.is_height_known else np.inf
         deviations: FloatArray = np.sqrt(squares)
         return deviations
 
@@ -120,7 +121,7 @@ def sample_heights(
     return HeightSamples(
         best=best,
         mounts=np.array(samples),
-        is_at_bound=bool(best[1] in (heights_m[0], heights_m[-1])),
+        is_height_known=problem.blocks > 1 and best[1] not in (heights_m[0], heights_m[-1]),
         range_m=range_m,
     )
 

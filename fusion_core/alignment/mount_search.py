@@ -19,7 +19,7 @@ _PRIOR_BLOCKS = 20.0
 _MAX_STARTS = 3
 _MAX_RIVAL_YAWS = 3
 # Yaws nearer than this count as one; set by hand.
-SAME_YAW_RAD = np.deg2rad(5.0)
+_SAME_YAW_RAD = np.deg2rad(5.0)
 # Steps of the search: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
 
@@ -47,17 +47,18 @@ def choose_mount(
 ) -> tuple[FloatArray, bool]:
     """The best fit near the rows' yaw, unless another is significantly better; and whether it is
     not significantly better than all that have another yaw."""
-    near = [fit for fit in fits if angle_between_rad(fit[0], yaw_rad) < SAME_YAW_RAD]
+    near = [fit for fit in fits if have_same_yaw(fit[0], yaw_rad)]
     best = min(near or fits, key=problem.mean_cost)
     cheapest = min(fits, key=problem.mean_cost)
-    if not _have_same_yaw(cheapest, best) and is_significantly_better(problem, cheapest, best):
+    if not have_same_yaw(cheapest[0], best[0]) and is_significantly_better(problem, cheapest, best):
         best = cheapest
-    rivals = [fit for fit in fits if not _have_same_yaw(fit, best)]
+    rivals = [fit for fit in fits if not have_same_yaw(fit[0], best[0])]
     return best, not all(is_significantly_better(problem, best, rival) for rival in rivals)
 
 
-def _have_same_yaw(fit: FloatArray, other: FloatArray) -> bool:
-    return bool(angle_between_rad(fit[0], other[0]) < SAME_YAW_RAD)
+def have_same_yaw(first_rad: float, second_rad: float) -> bool:
+    """Whether two mounts with these yaws count as one."""
+    return bool(np.abs(wrap_angle(first_rad - second_rad)) < _SAME_YAW_RAD)
 
 
 def is_significantly_better(problem: MountCost, fit: FloatArray, other: FloatArray) -> bool:
@@ -126,7 +127,7 @@ def _find_rival_yaws(problem: MountCost, centre: FloatArray, heights_m: FloatArr
         yaw = float(yaws[index])
         if not np.isfinite(costs[index]) or len(found) == _MAX_RIVAL_YAWS:
             break
-        if min(angle_between_rad(yaw, other) for other in [yaw_rad, *found]) > SAME_YAW_RAD:
+        if not any(have_same_yaw(yaw, other) for other in [yaw_rad, *found]):
             found.append(yaw)
     return found
 
@@ -162,7 +163,3 @@ def _minimize(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatAr
     )
     found: FloatArray = result.x
     return found
-
-
-def angle_between_rad(first_rad: float, second_rad: float) -> float:
-    return float(np.abs(wrap_angle(first_rad - second_rad)))

@@ -91,9 +91,10 @@ def test_too_few_groups_state_nothing() -> None:
 def test_replicates_that_agree_are_known_to_a_step_of_the_grid() -> None:
     best = np.array([0.1, 0.3, 0.05, 0.0, 0.02, 0.0])
     samples = HeightSamples(
-        best=best, mounts=np.tile(best, (20, 1)), is_at_bound=False, range_m=2.0
+        best=best, mounts=np.tile(best, (20, 1)), is_height_known=True, range_m=2.0
     )
     assert samples.sd() == pytest.approx([0.0, 0.05 / np.sqrt(12.0), 0.0, 0.0, 0.0, 0.0])
+    assert replace(samples, is_height_known=False).sd()[1] == np.inf
 
 
 def test_an_upright_wall_stays_in_sight() -> None:
