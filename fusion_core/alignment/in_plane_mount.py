@@ -18,6 +18,8 @@ its error would change the noise classes and repairs that use it. Set by hand.""
 CLOCK = 5
 """Of MOUNT_PARAMETERS, the clock offset."""
 
+_NOT_FORWARD = np.array([0, 3, CLOCK])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InPlaneMount:
@@ -62,3 +64,17 @@ def fit_in_plane(
     sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
     sd[CLOCK] = np.hypot(sd[CLOCK], delay_ms * rate_sd / spread)
     return InPlaneMount(values=best.values, sd=sd, yaw_per_delay_rad_s=best.yaw_per_delay_rad_s)
+
+
+def moved_by_height(
+    lines: ScanLines, found: InPlaneMount, rival: FloatArray, priors: MountPriors
+) -> FloatArray:
+    """(6,) how far yaw, left and clock offset of the optimum at a ``rival``'s (6,) height and pitch
+    lie from those of a mount; 0 where neither shows them. How the camera moves forward with the
+    height is for ``keep_sight`` to tell."""
+    moved = np.zeros(rival.size)
+    free = np.isfinite(found.sd[IN_PLANE])
+    fit = refine_in_plane(lines, rival, priors, free) if free.any() else None
+    if fit is not None:
+        moved[_NOT_FORWARD] = np.abs(fit.values - found.values)[_NOT_FORWARD]
+    return moved

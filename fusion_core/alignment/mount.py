@@ -16,6 +16,7 @@ from fusion_core.alignment.in_plane_mount import (
     OBSERVABLE_SD,
     InPlaneMount,
     fit_in_plane,
+    moved_by_height,
 )
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_floor import FloorTilt, find_floor_tilt
@@ -129,20 +130,24 @@ def estimate_mount(
             refusal = _reason_to_prefer_free_fit(problem, found.values, free.values, settings)
         if found is None or refusal:
             found = free
+    agreement, visible = problem.agreement_and_visibility(found.values)
+    is_from_recorded = recorded is not None and not refusal
     sd = np.where(found.sd <= OBSERVABLE_SD, found.sd, np.inf)
+    if agreement < settings.min_agreement and not is_from_recorded:
+        # The pitch is the floor's, whatever the points say.
+        sd[:4] = sd[CLOCK] = np.inf
     if not np.isfinite(sd[0]):
         # Forward and left are along the yaw, and a delay turns it.
         sd[[2, 3, CLOCK]] = np.inf
     mount = Mount.from_vector(
         found.values, tuple(float(value) if np.isfinite(value) else None for value in sd)
     )
-    agreement, visible = problem.agreement_and_visibility(found.values)
     return MountEstimate(
         mount=mount,
         agreement=agreement,
         visible=visible,
         is_confident=bool(agreement >= settings.min_agreement and np.isfinite(sd[0])),
-        is_from_recorded=recorded is not None and not refusal,
+        is_from_recorded=is_from_recorded,
         delta_z_profile=delta_z_profile(problem, found.values, heights_m)[:, 1:],
         refusal=refusal,
         yaw_per_delay_rad_s=0.0 if np.isfinite(sd[CLOCK]) else found.yaw_per_delay_rad_s,
@@ -192,6 +197,7 @@ def _find_mount(
     found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
+    sd = np.maximum(sd, moved_by_height(lines, found, heights.least, priors))
     spread = heights.sd()
     sd[1] = spread[1]
     sd[4] = np.inf if floor is None else floor.pitch_sd_rad

@@ -134,6 +134,11 @@ class MountCost:
         return costs
 
     @property
+    def no_depth_cost(self) -> float:
+        """Cost of a point above or below the image, or on a hole."""
+        return self._settings.no_depth_cost
+
+    @property
     def turn_rate_sd_rad_s(self) -> float:
         """Doubt of the frames' turn rates."""
         return self._settings.turn_rate_sd_rad_s

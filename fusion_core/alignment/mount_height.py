@@ -2,10 +2,15 @@
 or under.
 
 A grid of both is scored by the agreement of points and depth, with the sight line held: the camera
-moves forward or back so that upright surfaces keep their place. Which heights explain the recording
-as well is found by a bootstrap over places along the curve and blocks of frames (Owen 2007, the
-pigeonhole bootstrap), each replicate with a prior whose centre is drawn from the prior: where the
-data show nothing, the replicates spread as far as the prior does.
+moves forward or back so that upright surfaces keep their place. As in the wide search, a point
+above or below the image, or on a hole, is dear: of the heights that explain a recording, the one
+that shows most of it is used.
+
+That says nothing of how well the height is known: walls alone would state the one that brings most
+of them into the image. So the deviations come from a cost in which a point that cannot be compared
+costs what a point usually does. They are those of a bootstrap over places along the curve, which
+look much the same from frame to frame, each replicate with a prior whose centre is drawn from the
+prior: where the data show nothing, the replicates spread as far as the prior does.
 """
 
 from dataclasses import dataclass
@@ -29,19 +34,22 @@ _SEED = 0
 class HeightSamples:
     """Bootstrap of what stands out of the LiDAR's plane.
 
-    ``best``: (6,) the best mount of the grid; ``mounts``: (B, 6) the best of each replicate;
-    ``is_height_known``: whether ``best`` is not at the end of the heights, and there are blocks of
-    frames to draw from: one has no spread. ``range_m``: the median distance ahead of the points
-    between the sides of the images, at which the sight line was held.
+    ``best``: (6,) the mount to use. ``least``: (6,) the one of the least cost where what cannot be
+    compared is not dear; ``mounts``: (B, 6) that of each replicate. ``is_height_known``: whether
+    ``best`` is not at the end of the heights, and there are places to draw from: one has no spread.
+    ``range_m``: the median distance ahead of the points between the sides of the images, at which
+    the sight line was held.
     """
 
     best: FloatArray
+    least: FloatArray
     mounts: FloatArray
     is_height_known: bool
     range_m: float
 
     def __post_init__(self) -> None:
         read_only(self.best)
+        read_only(self.least)
         read_only(self.mounts)
 
     def sd(self) -> FloatArray:
@@ -86,11 +94,10 @@ def sample_heights(
 ) -> HeightSamples:
     """The bootstrap around a mount (6,) whose place in the LiDAR's plane is known."""
     seen = problem.is_in_front(values)
-    places, of_place = np.unique(problem.places()[seen], return_inverse=True)
-    block = problem.frame_of_point * problem.blocks // problem.frames
-    cells = places.size * problem.blocks
+    names, of_place = np.unique(problem.places()[seen], return_inverse=True)
+    places = names.size
     group = np.full(problem.points.shape[0], -1, dtype=np.int64)
-    group[seen] = of_place * problem.blocks + block[seen]
+    group[seen] = of_place
     range_m = _median_range_ahead_m(problem.points[seen], float(values[0]))
     mounts = np.array(
         [
@@ -99,39 +106,43 @@ def sample_heights(
             for pitch in pitches_of(priors)
         ]
     )
-    tallies = np.array([problem.tallies_per_group(one, group, cells)[:, :2] for one in mounts])
-    costs, counts = tallies[..., 0], tallies[..., 1]
     z = (mounts - priors.centre)[:, [1, 4]] / priors.sd[[1, 4]]
     weight_of_prior = prior_weight(problem)
+
+    def prior_cost(centre: FloatArray) -> FloatArray:
+        cost: FloatArray = weight_of_prior * ((z - centre) ** 2).sum(axis=1)
+        return cost
+
+    tallies = np.array([problem.tallies_per_group(one, group, places)[:, :3] for one in mounts])
+    costs, counts, on_depth = np.moveaxis(tallies, -1, 0)
+    total, own_prior = np.maximum(counts.sum(axis=1), 1.0), prior_cost(np.zeros(2))
+    shows_most = (costs.sum(axis=1) / total + own_prior).argmin()
+    usual_cost = _usual_cost(tallies[shows_most], problem.no_depth_cost)
+    costs = costs + (counts - on_depth) * (usual_cost - problem.no_depth_cost)
     rng = np.random.default_rng(_SEED)
-
-    def best_of(weight: FloatArray, centre: FloatArray) -> FloatArray:
-        mean = costs @ weight / np.maximum(counts @ weight, 1.0)
-        chosen: FloatArray = mounts[
-            (mean + weight_of_prior * ((z - centre) ** 2).sum(axis=1)).argmin()
-        ]
-        return chosen
-
     samples = []
     for _ in range(_REPLICATES):
-        of_places = _drawn(rng, places.size)
-        weight = np.outer(of_places, _drawn(rng, problem.blocks)).ravel()
-        samples.append(best_of(weight, rng.normal(size=2)))
-    best = best_of(np.ones(cells), np.zeros(2))
+        weight = rng.multinomial(places, np.full(places, 1.0 / places))
+        mean = costs @ weight / np.maximum(counts @ weight, 1.0)
+        samples.append(mounts[(mean + prior_cost(rng.normal(size=2))).argmin()])
+    best = mounts[shows_most]
+    least = (costs.sum(axis=1) / total + own_prior).argmin()
     return HeightSamples(
         best=best,
+        least=mounts[least],
         mounts=np.array(samples),
-        is_height_known=problem.blocks > 1 and best[1] not in (heights_m[0], heights_m[-1]),
+        is_height_known=places > 1 and best[1] not in (heights_m[0], heights_m[-1]),
         range_m=range_m,
     )
+
+
+def _usual_cost(tallies: FloatArray, no_depth_cost: float) -> float:
+    """Mean cost of the points on valid depth, 0 without one, by the tallies (P, 3) of a mount."""
+    cost, count, on_depth = tallies.sum(axis=0)
+    return float((cost - no_depth_cost * (count - on_depth)) / max(on_depth, 1.0))
 
 
 def _median_range_ahead_m(points_m: FloatArray, yaw_rad: float) -> float:
     """Of (N, 2) points, 1 m where there are none."""
     ahead_m = points_m @ [np.cos(yaw_rad), np.sin(yaw_rad)]
     return float(np.median(ahead_m)) if ahead_m.size else 1.0
-
-
-def _drawn(rng: np.random.Generator, count: int) -> FloatArray:
-    """How often each of ``count`` is drawn in as many draws with replacement."""
-    return rng.multinomial(count, np.full(count, 1.0 / count)).astype(np.float64)

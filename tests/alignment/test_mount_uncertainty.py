@@ -91,10 +91,32 @@ def test_too_few_groups_state_nothing() -> None:
 def test_replicates_that_agree_are_known_to_a_step_of_the_grid() -> None:
     best = np.array([0.1, 0.3, 0.05, 0.0, 0.02, 0.0])
     samples = HeightSamples(
-        best=best, mounts=np.tile(best, (20, 1)), is_height_known=True, range_m=2.0
+        best=best, least=best, mounts=np.tile(best, (20, 1)), is_height_known=True, range_m=2.0
     )
     assert samples.sd() == pytest.approx([0.0, 0.05 / np.sqrt(12.0), 0.0, 0.0, 0.0, 0.0])
     assert replace(samples, is_height_known=False).sd()[1] == np.inf
+
+
+@pytest.mark.parametrize("delta_z_m", [0.6, 1.0])
+def test_walls_alone_show_no_height(box_room, delta_z_m: float) -> None:
+    """All heights explain walls. Near ones meet the LiDAR's plane below the image, and a lower
+    camera has more of them in it, which is no evidence."""
+    mount = Mount(yaw_rad=0.1, delta_z_m=delta_z_m, pitch_rad=float(np.deg2rad(-6.0)))
+    frames = drive(box_room(size_m=(4.6, 4.0, 9.0)), mount, 1)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
+    assert estimate.mount.sd[1] is None, (estimate.mount.delta_z_m, estimate.mount.sd[1])
+
+
+def test_a_mount_under_which_too_little_agrees_states_nothing(furnished_room) -> None:
+    mount = replace(random_mount(2), delta_z_m=0.4)
+    frames = drive(furnished_room, mount, 2)
+    # Every fourth image contradicts the others.
+    for index in range(0, len(frames), 4):
+        nearer_m = np.float32(0.8) * frames[index].depth_m
+        frames[index] = replace(frames[index], depth_m=nearer_m, raw_depth_m=nearer_m)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
+    assert 0.5 < estimate.agreement < SETTINGS.min_agreement
+    assert [estimate.mount.sd[index] for index in (0, 1, 2, 3, 5)] == [None] * 5
 
 
 def test_an_upright_wall_stays_in_sight() -> None:
