@@ -70,8 +70,8 @@ def moved_by_height(
     lines: ScanLines, found: InPlaneMount, rival: FloatArray, priors: MountPriors
 ) -> FloatArray:
     """(6,) how far yaw, left and clock offset of the optimum at a ``rival``'s (6,) height and pitch
-    lie from those of a mount; 0 where neither shows them. How the camera moves forward with the
-    height is for ``keep_sight`` to tell."""
+    lie from those of a mount; 0 where there is no such optimum. Forward is 0: how it moves with the
+    height is in the spread of the heights' bootstrap."""
     moved = np.zeros(rival.size)
     free = np.isfinite(found.sd[IN_PLANE])
     fit = refine_in_plane(lines, rival, priors, free) if free.any() else None

@@ -97,8 +97,9 @@ def estimate_mount(
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
     what is seen (``find_refusal``), unless too few points agree and another mount explains them
     significantly. Where nothing is recorded and the floor shows that the rig is rolled, the mount
-    is that of the rolled cameras. ``on_step`` is called before each mount that is tried, and may
-    raise to end the search.
+    is that of the rolled cameras. Of a mount that the recording does not give, and under which too
+    few points agree, nothing but the floor's pitch is observable. ``on_step`` is called before each
+    mount that is tried, and may raise to end the search.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
@@ -135,7 +136,7 @@ def estimate_mount(
     sd = np.where(found.sd <= OBSERVABLE_SD, found.sd, np.inf)
     if agreement < settings.min_agreement and not is_from_recorded:
         # The pitch is the floor's, whatever the points say.
-        sd[:4] = sd[CLOCK] = np.inf
+        sd[[0, 1]] = np.inf
     if not np.isfinite(sd[0]):
         # Forward and left are along the yaw, and a delay turns it.
         sd[[2, 3, CLOCK]] = np.inf

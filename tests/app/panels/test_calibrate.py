@@ -151,8 +151,11 @@ def test_numbers_that_the_recording_does_not_tell_are_said_to_be_assumed(
     chain = bench.frame_view.chain
     assert chain is not None
     mount = chain.alignment.mount
-    assert None not in mount.sd
-    assert not unknown_text(mount)
+    known = replace(mount, sd=(0.1, 0.1, 0.1, 0.1, 0.1, 0.1))
+    assert not unknown_text(known)
+    # The sample does not show the height.
+    assert [index for index, sd in enumerate(mount.sd) if sd is None] == [1]
+    bench.html("does not tell how far above the LiDAR it sits (Δz): assumed here, not found")
     flat = replace(mount, sd=(0.1, None, 0.1, 0.1, None, None))
     said = unknown_text(flat)
     assert said == (
@@ -161,7 +164,7 @@ def test_numbers_that_the_recording_does_not_tell_are_said_to_be_assumed(
     )
     monkeypatch.setattr(pose_controls, "unknown_text", lambda _: said)
     bench.change(frame_index=FRAME + 1)
-    bench.html("assumed here, not found")
+    bench.html("how far it looks down: assumed here, not found")
     # A pose by hand is nobody's guess.
     bench.change(extrinsics=pose_of(chain))
     bench.browser.wait_until(lambda: not bench._htmls(("assumed here, not found",)))
