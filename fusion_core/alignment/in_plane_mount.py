@@ -59,8 +59,9 @@ def fit_in_plane(
         if sd[CLOCK] <= OBSERVABLE_SD[CLOCK]:
             break
     # Delay and yaw follow from turns: an error of the turn rates grows with the delay.
-    rate_sd, delay_ms = problem.turn_rate_sd_rad_s, abs(float(best.values[CLOCK]))
-    spread = max(float(np.std(problem.turn_rates_rad_s)), 1e-6)
+    rate_sd = float(np.sqrt(np.mean(problem.turn_rate_sd_rad_s**2)))
+    delay_ms = abs(float(best.values[CLOCK]))
+    spread = max(float(np.std(problem.velocities[:, 2])), 1e-6)
     sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
     sd[CLOCK] = np.hypot(sd[CLOCK], delay_ms * rate_sd / spread)
     return InPlaneMount(values=best.values, sd=sd, yaw_per_delay_rad_s=best.yaw_per_delay_rad_s)

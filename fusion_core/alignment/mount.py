@@ -35,8 +35,8 @@ from fusion_core.alignment.mount_search import (
     search_mounts,
 )
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
+from fusion_core.alignment.parabola import parabola_offset
 from fusion_core.alignment.recorded_mount import find_refusal
-from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Mount
@@ -198,7 +198,7 @@ def _find_mount(
     found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
-    sd = np.maximum(sd, moved_by_height(lines, found, heights.least, priors))
+    sd = np.hypot(sd, moved_by_height(lines, found, heights.least, priors))
     spread = heights.sd()
     sd[1] = spread[1]
     sd[4] = np.inf if floor is None else floor.pitch_sd_rad

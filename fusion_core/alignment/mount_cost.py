@@ -22,6 +22,7 @@ from fusion_core.model.conventions import (
     IntArray,
 )
 from fusion_core.model.geometry import invert_transform
+from fusion_core.model.planar_poses import invert_pose, pose_after
 from fusion_core.model.rig import Mount
 
 MIN_POINTS = 100
@@ -44,7 +45,9 @@ _WELSCH = 0.125
 class MountCost:
     """The kept frames as flat arrays, and the cost of a mount on each of them.
 
-    ``max_range_m``: the longest measured range of the LiDAR. ``on_step`` is called before each
+    ``max_range_m``: the longest measured range of the LiDAR. ``velocities``: (F, 3) of the LiDAR
+    as those of ``ScanMotion``, 0 where a frame does not know it; ``turn_rate_sd_rad_s``: (F,).
+    ``on_step`` is called before each
     mount that is tried, and may raise to end the search.
     """
 
@@ -81,7 +84,13 @@ class MountCost:
         )
         self.T_rig_camera = np.stack([frame.camera.T_rig_camera for frame in frames])
         self._T_camera_rig = np.stack([invert_transform(T) for T in self.T_rig_camera])
-        self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
+        motions = [frame.motion for frame in frames]
+        self.velocities = np.array(
+            [np.zeros(3) if motion is None else motion.velocity for motion in motions]
+        )
+        self.turn_rate_sd_rad_s = np.array(
+            [0.0 if motion is None else motion.turn_rate_sd_rad_s for motion in motions]
+        )
         self._image_after_points_s = np.array([frame.image_after_points_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
 
@@ -116,8 +125,11 @@ class MountCost:
         """(groups, 4): the same for any groups of points, (N,) by their numbers; below 0 a point
         belongs to none."""
         mount = Mount.from_vector(values)
-        turn = _yaw_transforms(-self.turned_rad(mount))
-        T_camera_lidar = self._T_camera_rig @ invert_transform(mount.T_lidar_rig) @ turn
+        T_camera_lidar = (
+            self._T_camera_rig
+            @ invert_transform(mount.T_lidar_rig)
+            @ _planar_transforms(invert_pose(self.moved(mount)))
+        )
         tallies: FloatArray = self._tallies(T_camera_lidar[np.newaxis], group, groups)[0]
         return tallies
 
@@ -126,9 +138,11 @@ class MountCost:
         pitched = replace(mount, yaw_rad=0.0, forward_m=0.0, left_m=0.0, delta_z_m=0.0)
         back = np.eye(4)
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
-        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _yaw_transforms(-yaws_rad) @ back
-        turn = _yaw_transforms(-self.turned_rad(mount))
-        T_camera_lidar = self._T_camera_rig @ T_rig_lidar[:, np.newaxis] @ turn
+        turns = np.zeros((yaws_rad.size, 3))
+        turns[:, 2] = -yaws_rad
+        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _planar_transforms(turns) @ back
+        T_image_scan = _planar_transforms(invert_pose(self.moved(mount)))
+        T_camera_lidar = self._T_camera_rig @ T_rig_lidar[:, np.newaxis] @ T_image_scan
         tallies = self._tallies(T_camera_lidar, self.frame_of_point, self.frames)
         costs: FloatArray = tallies[:, :, 0].sum(axis=1)
         return costs
@@ -138,27 +152,21 @@ class MountCost:
         """Cost of a point above or below the image, or on a hole."""
         return self._settings.no_depth_cost
 
-    @property
-    def turn_rate_sd_rad_s(self) -> float:
-        """Doubt of the frames' turn rates."""
-        return self._settings.turn_rate_sd_rad_s
-
     def tolerance_at(self, range_m: FloatArray) -> FloatArray:
         """The agreement tolerance at ranges."""
         return self._settings.tolerance_m + self._settings.tolerance_fraction * range_m
 
-    def turned_rad(self, mount: Mount) -> FloatArray:
-        """(F,) turn of the LiDAR from the scan to the image, whose stamp is late by the offset."""
-        turned: FloatArray = self.turn_rates_rad_s * (
-            self._image_after_points_s - mount.clock_offset_ms * 1e-3
-        )
-        return turned
+    def moved(self, mount: Mount) -> FloatArray:
+        """(F, 3) pose of the LiDAR at the image, whose stamp is late by the clock offset, in its
+        frame at the points' stamp."""
+        seconds = self._image_after_points_s - mount.clock_offset_ms * 1e-3
+        return pose_after(self.velocities, seconds)
 
     def headings_rad(self) -> FloatArray:
         """(F,) heading of the LiDAR at each scan, from the first one's, by the turn rates."""
         seconds = np.array([frame.scan.stamp_ns for frame in self._frames]) / NS_PER_S
         order = np.argsort(seconds, kind="stable")
-        rates = self.turn_rates_rad_s[order]
+        rates = self.velocities[order, 2]
         turned = np.diff(seconds[order]) * 0.5 * (rates[1:] + rates[:-1])
         headings = np.empty(seconds.size)
         headings[order] = np.concatenate([[0.0], np.cumsum(turned)])
@@ -175,7 +183,7 @@ class MountCost:
     def is_in_front(self, values: FloatArray) -> BoolArray:
         """(N,) whether a point lies between the left and the right of its image."""
         mount = Mount.from_vector(values)
-        points_m = turn_points(self.points, -self.turned_rad(mount)[self.frame_of_point])
+        points_m = points_at_image(self.points, self.moved(mount)[self.frame_of_point])
         T_lidar_camera = mount.T_lidar_rig @ self.T_rig_camera
         return self._project(points_m, self.frame_of_point, T_lidar_camera)[0]
 
@@ -262,13 +270,19 @@ def turn_points(vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
 
 
-def _yaw_transforms(angles_rad: FloatArray) -> FloatArray:
-    """(F, 4, 4) rotations about z."""
-    turns = np.tile(np.eye(4), (angles_rad.size, 1, 1))
-    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles_rad)
-    turns[:, 1, 0] = np.sin(angles_rad)
-    turns[:, 0, 1] = -turns[:, 1, 0]
-    return turns
+def points_at_image(points_m: FloatArray, moved: FloatArray) -> FloatArray:
+    """(N, 2) points in the LiDAR's frame at the image, to which it ``moved`` (N, 3)."""
+    return turn_points(points_m - moved[:, :2], -moved[:, 2])
+
+
+def _planar_transforms(poses: FloatArray) -> FloatArray:
+    """(F, 4, 4) of planar poses (F, 3)."""
+    transforms = np.tile(np.eye(4), (poses.shape[0], 1, 1))
+    transforms[:, 0, 0] = transforms[:, 1, 1] = np.cos(poses[:, 2])
+    transforms[:, 1, 0] = np.sin(poses[:, 2])
+    transforms[:, 0, 1] = -transforms[:, 1, 0]
+    transforms[:, :2, 3] = poses[:, :2]
+    return transforms
 
 
 @compiled()

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fusion_core.alignment.scan_motion import ScanMotion
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import (
     NS_PER_S,
@@ -24,8 +25,9 @@ class MountObservation:
 
     ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp, or of a scan
     that is interpolated nearer to the image. ``raw_depth_m``: (H, W) upright view, ``depth_m`` the
-    same without speckle. ``image_after_scan_s``, ``image_after_points_s``: image stamp - the stamp
-    of the scan, and of the points.
+    same without speckle. ``motion``: of the LiDAR around the scan, None where it is unknown: it is
+    then not compensated between the stamps. ``image_after_scan_s``, ``image_after_points_s``:
+    image stamp - the stamp of the scan, and of the points.
     """
 
     camera: Camera
@@ -33,7 +35,7 @@ class MountObservation:
     raw_depth_m: Float32Array
     points_m: FloatArray
     depth_m: Float32Array
-    turn_rate_rad_s: float
+    motion: ScanMotion | None
     image_after_scan_s: float
     image_after_points_s: float
 
@@ -51,12 +53,11 @@ def mount_observation(
     scan: LaserScan,
     depth_m: Float32Array,
     image_stamp_ns: int,
-    turn_rate_rad_s: float,
+    motion: ScanMotion | None,
     aligned_scan: LaserScan | None = None,
 ) -> MountObservation:
-    """The observation of one pair. ``turn_rate_rad_s`` is NaN where the scan has no neighbours in
-    time; the turn between the two stamps is then not compensated. ``aligned_scan``: the one that
-    gives the points, where it is another."""
+    """The observation of one pair. ``aligned_scan``: the one that gives the points, where it is
+    another."""
     source = scan if aligned_scan is None else aligned_scan
     valid = np.isfinite(source.ranges_m)
     return MountObservation(
@@ -65,7 +66,7 @@ def mount_observation(
         raw_depth_m=depth_m,
         points_m=points_from_polar(source.ranges_m[valid], source.angles_rad[valid]),
         depth_m=remove_speckle(depth_m),
-        turn_rate_rad_s=turn_rate_rad_s if np.isfinite(turn_rate_rad_s) else 0.0,
+        motion=motion,
         image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
         image_after_points_s=(image_stamp_ns - source.stamp_ns) / NS_PER_S,
     )

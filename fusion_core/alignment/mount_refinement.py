@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import MountCost, turn_points
+from fusion_core.alignment.mount_cost import MountCost, points_at_image, turn_points
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Mount
@@ -117,11 +117,9 @@ class ScanLines:
     def residuals(self, values: FloatArray, stretch: float = 0.0) -> LineResiduals:
         """The residuals of one mount (6,), with depths that are too long by ``stretch``."""
         problem, mount = self._problem, Mount.from_vector(values)
-        turned_rad = problem.turned_rad(mount)[self._frame]
-        points, normals = (
-            turn_points(self._points, -turned_rad),
-            turn_points(self._normals, -turned_rad),
-        )
+        moved = problem.moved(mount)[self._frame]
+        points = points_at_image(self._points, moved)
+        normals = turn_points(self._normals, -moved[:, 2])
         T_lidar_camera = mount.T_lidar_rig @ problem.T_rig_camera
         index, rays, seen_m = problem.look_up(points, self._frame, T_lidar_camera)
         frame, point, normal = self._frame[index], points[index], normals[index]
@@ -135,16 +133,18 @@ class ScanLines:
         pixel, cosine, seen_m, ray = pixel[kept], cosine[kept], seen_m[kept], ray[kept]
         scale = cosine * problem.tolerance_at(seen_m)
         arm = pixel - [mount.forward_m, mount.left_m]
-        rate = 1e-3 * problem.turn_rates_rad_s[frame]
+        # Metres and radians in a millisecond.
+        drive, turn = 1e-3 * problem.velocities[frame, :2], 1e-3 * problem.velocities[frame, 2]
         rate_error = np.zeros((index.size, _UNKNOWNS))
-        rate_error[:, 3] = 1e-3 * problem.turn_rate_sd_rad_s * _cross(normal, point) / scale
+        turn_sd = 1e-3 * problem.turn_rate_sd_rad_s[frame]
+        rate_error[:, 3] = turn_sd * _cross(normal, point) / scale
 
         def derivative(direction: FloatArray) -> FloatArray:
             columns = [
                 _cross(direction, arm),
                 direction[:, 0],
                 direction[:, 1],
-                -rate * _cross(direction, point),
+                -turn * _cross(direction, point) - _dot(direction, drive),
                 -seen_m * _dot(ray, direction),
             ]
             stacked: FloatArray = np.stack(columns, axis=1) / scale[:, None]

@@ -76,9 +76,6 @@ class MountSettings(StageSettings):
     prior_clock_sd_ms: float = setting(
         80.0, "Doubt of stamps that are of one clock", unit="ms", ge=1e-3, le=1e4
     )
-    turn_rate_sd_rad_s: float = setting(
-        0.02, "Doubt of a turn rate that is measured between scans", unit="rad/s", ge=0.0, le=10.0
-    )
     # "Depth accuracy: <= 2 % at 2 m", Intel RealSense D400 data sheet.
     depth_scale_sd: float = setting(
         0.02, "Doubt of the depth images' scale, as a fraction", ge=1e-6, le=0.2

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from fusion_core.alignment.parabola import parabola_offset
 from fusion_core.alignment.similarity import Metric, SimilarityField
-from fusion_core.alignment.time import parabola_offset
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed

@@ -64,3 +64,28 @@ def transform_planar_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> 
     c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
     moved: FloatArray = points_in_b_m @ np.array([[c, s], [-s, c]]) + pose_a_b[:2]
     return moved
+
+
+def pose_after(velocity: FloatArray, seconds: FloatArray | float) -> FloatArray:
+    """(..., 3) pose, in the frame at the start, of what moves at a constant velocity (..., 3) in
+    its own frame: forward and left in m/s, counter-clockwise in rad/s. The exponential map of
+    SE(2)."""
+    moved = velocity * np.asarray(seconds)[..., np.newaxis]
+    turned = moved[..., 2]
+    along = np.sinc(turned / np.pi)
+    # (1 - cos) / turned, which is turned / 2 near 0.
+    across = 0.5 * turned * np.sinc(0.5 * turned / np.pi) ** 2
+    x, y = moved[..., 0], moved[..., 1]
+    return _stack_poses(along * x - across * y, across * x + along * y, wrap_angle(turned))
+
+
+def velocity_between(pose: FloatArray, seconds: float) -> FloatArray:
+    """(..., 3) the constant velocity that leads to a pose (..., 3), by less than half a turn: the
+    inverse of ``pose_after``."""
+    half = 0.5 * pose[..., 2]
+    # half / tan(half), which is 1 at 0.
+    along = np.cos(half) / np.sinc(half / np.pi)
+    x, y = pose[..., 0], pose[..., 1]
+    moved = [along * x + half * y, along * y - half * x, 2.0 * half]
+    velocity: FloatArray = np.stack(moved, axis=-1) / seconds
+    return velocity

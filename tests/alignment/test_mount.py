@@ -14,12 +14,15 @@ from fusion_core.alignment.mount_observation import (
     mount_observation,
     remove_speckle,
 )
+from fusion_core.alignment.mount_refinement import ScanLines
 from fusion_core.alignment.mount_search import choose_mount
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.recorded_mount import find_refusal
+from fusion_core.alignment.scan_motion import ScanMotion
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import make_transform, transform_from_planar
+from fusion_core.model.planar_poses import compose_poses, pose_after
 from fusion_core.model.rig import MOUNT_PARAMETERS, Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
@@ -58,6 +61,7 @@ def frame_at(
     *,
     rate: float = 0.0,
     known_rate: float | None = None,
+    drive_m_s: tuple[float, float] = (0.0, 0.0),
     late_s: float = 0.0,
     extra_turn: float = 0.0,
     field_of_view_deg: float = 240.0,
@@ -71,7 +75,9 @@ def frame_at(
     angles = np.deg2rad(np.arange(-field_of_view_deg / 2, field_of_view_deg / 2, 0.5))
     x, y, yaw = pose
     ranges_m = room.scan_m(x, y, LIDAR_HEIGHT_M, yaw, angles)
-    T_room_lidar = transform_from_planar(np.array([x, y, yaw + rate * late_s + extra_turn]))
+    moved = pose_after(np.array([*drive_m_s, rate]), late_s)
+    moved[2] += extra_turn
+    T_room_lidar = transform_from_planar(compose_poses(np.array(pose), moved))
     T_room_lidar[2, 3] = LIDAR_HEIGHT_M
     T_rig_camera = CAMERA.T_rig_camera.copy()
     # About the optical axis, the left side up.
@@ -92,13 +98,23 @@ def frame_at(
     )
     stamp_ns = NS_PER_S + round(late_s * NS_PER_S + mount.clock_offset_ms * NS_PER_MS)
     known = rate if known_rate is None else known_rate
-    return mount_observation(CAMERA, scan, depth_m.astype(np.float32), stamp_ns, known)
+    velocity = np.array([*drive_m_s, known])
+    motion = ScanMotion(velocity=velocity, turn_rate_sd_rad_s=0.02) if np.isfinite(known) else None
+    return mount_observation(CAMERA, scan, depth_m.astype(np.float32), stamp_ns, motion)
 
 
 def drive(
-    room, mount: Mount, seed: int, *, rate: float | None = None, count: int = 16, **values: float
+    room,
+    mount: Mount,
+    seed: int,
+    *,
+    rate: float | None = None,
+    count: int = 16,
+    late_s: tuple[float, float] = (-0.025, 0.025),
+    **values: float,
 ) -> list[MountObservation]:
-    """A drive around the middle of the room that turns at ``rate``, or at changing rates."""
+    """A drive around the middle of the room that turns at ``rate``, or at changing rates, with
+    images that are late by values from ``late_s``."""
     rng = np.random.default_rng(seed)
     frames = []
     for angle in 2.0 * np.pi * np.arange(count) / count:
@@ -111,7 +127,7 @@ def drive(
                 (x, y, 3.0 * angle + rng.normal(0.0, 0.2)),
                 rate=true_rate,
                 known_rate=true_rate + float(rng.normal(0.0, 0.02)),
-                late_s=float(rng.uniform(-0.025, 0.025)),
+                late_s=float(rng.uniform(*late_s)),
                 rng=rng,
                 **values,
             )
@@ -247,6 +263,36 @@ def test_where_the_yaw_is_not_known_neither_is_what_goes_with_it(box_room) -> No
     assert not estimate.is_confident
     # Forward and left are along the yaw, and a delay turns it.
     assert [estimate.mount.sd[index] for index in (0, 2, 3, 5)] == [None] * 4
+
+
+@pytest.mark.parametrize("drive_m_s", [(0.6, 0.0), (-0.4, 0.3)])
+def test_a_drive_from_scan_to_image_does_not_move_the_mount(furnished_room, drive_m_s) -> None:
+    """All images come 40 to 60 ms after their scans, in which the robot drives some 3 cm."""
+    truth = random_mount(7)
+    frames = drive(furnished_room, truth, 7, drive_m_s=drive_m_s, late_s=(0.04, 0.06))
+    found = trial(frames, truth)
+    assert (np.abs(found.errors[2:4]) < 0.012).all()
+    assert (np.abs(found.errors[2:4]) < 4.0 * found.sd[2:4]).all()
+
+
+def test_a_delay_moves_residuals_by_the_drive_in_it(furnished_room) -> None:
+    """Against differences of the residuals whose pixels stay."""
+    mount = random_mount(4)
+    frames = drive(furnished_room, mount, 4, rate=0.0, count=4, drive_m_s=(0.5, -0.3))
+    frames = [
+        replace(one, motion=ScanMotion(velocity=np.array([0.5, -0.3, 0.0]), turn_rate_sd_rad_s=0.0))
+        for one in frames
+    ]
+    lines = ScanLines(MountCost(frames, SETTINGS))
+    values = mount.vector()
+    late = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3])
+    before, after = lines.residuals(values - late), lines.residuals(values + late)
+    middle = lines.residuals(values)
+    assert before.values.size == middle.values.size == after.values.size
+    slope = (after.values - before.values) / 2e-3
+    same = np.isclose(slope, middle.jacobian[:, 3], rtol=1e-3, atol=1e-6)
+    assert same.mean() > 0.95
+    assert np.abs(slope).max() > 1e-3
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4], ids=["standing still", "turning steadily"])
@@ -388,7 +434,7 @@ def test_too_few_frames_or_points_are_a_failure(furnished_room) -> None:
         estimate_mount(frames[:3], SETTINGS, yaw_rad=truth.yaw_rad)
     nothing = frames[0].scan.with_ranges(np.full(frames[0].scan.ranges_m.size, np.nan), None)
     blind = [
-        mount_observation(CAMERA, nothing, frame.raw_depth_m, NS_PER_S, 0.0) for frame in frames
+        mount_observation(CAMERA, nothing, frame.raw_depth_m, NS_PER_S, None) for frame in frames
     ]
     with pytest.raises(AlignmentFailed, match="100 LiDAR points"):
         estimate_mount(blind, SETTINGS, yaw_rad=truth.yaw_rad)
@@ -410,7 +456,7 @@ def test_a_frame_keeps_its_valid_points_and_stamps(furnished_room) -> None:
     ]
     np.testing.assert_allclose(frame.points_m, expected, atol=1e-12)
     assert frame.image_after_scan_s == pytest.approx(0.032)
-    assert frame.turn_rate_rad_s == 0.0
+    assert frame.motion is None
 
 
 @pytest.mark.parametrize("extra_deg", [-1.0, -0.5, 0.5, 1.0])

@@ -12,15 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.alignment.curves import sample_curve, sample_row
+from fusion_core.alignment.scan_motion import estimate_motion
 from fusion_core.alignment.search import MeanField, find_peak
 from fusion_core.alignment.similarity import SimilarityField
-from fusion_core.alignment.time import ScanWindow, estimate_turn_rate_rad_s
+from fusion_core.alignment.time import ScanWindow
 from fusion_core.alignment.upright import UprightView
 from fusion_core.denoising.correspondence import match_by_sample
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE
 from fusion_core.model.conventions import NS_PER_MS, R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.labels import Capture, CaptureLabels, Label
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, DepthImage, LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment
@@ -322,15 +324,17 @@ def test_the_true_offset_is_found_over_the_seam(seen) -> None:
         assert difference(peak.u, float(places.mean())) == pytest.approx(0.0, abs=2.0)
 
 
-def test_the_turn_rate_does_not_depend_on_the_seam(seen) -> None:
+def test_the_motion_turns_with_the_seam(seen) -> None:
     window, _, _ = seen
     chain = PRESETS["default"]
-    rate = estimate_turn_rate_rad_s(window, chain.time)
-    assert rate == pytest.approx(0.12, abs=0.02)
+    motion = estimate_motion(window, chain.time)
+    assert motion.turn_rate_rad_s == pytest.approx(0.12, abs=0.02)
     for beams in (3, 270, 541):
-        assert estimate_turn_rate_rad_s(turned(window, beams), chain.time) == pytest.approx(
-            rate, abs=1e-9
-        )
+        again = estimate_motion(turned(window, beams), chain.time)
+        in_turned = np.array([0.0, 0.0, -beams * window.scan.angle_increment_rad])
+        drive = transform_planar_points(in_turned, motion.velocity[np.newaxis, :2])[0]
+        np.testing.assert_allclose(again.velocity[:2], drive, atol=1e-9)
+        assert again.turn_rate_rad_s == pytest.approx(motion.turn_rate_rad_s, abs=1e-9)
 
 
 def field_of(scores: np.ndarray) -> SimilarityField:

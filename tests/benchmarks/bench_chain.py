@@ -46,7 +46,7 @@ BAR, AIM = 150, 200
 STAGES = {
     "search": ((match_images, "search_offset"),),
     "mount observation": ((match_images, "observe_mount"),),
-    "frame yaw check": ((match_images, "turned_rad"),),
+    "frame yaw check": ((match_images, "motion_to_image"),),
     "correspondence": (
         (match_images, "match_along_curve"),
         (match_images, "match_in_row"),

@@ -3,13 +3,16 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from fusion_core.model.geometry import planar_from_transform, transform_from_planar
 from fusion_core.model.planar_poses import (
     compose_poses,
     invert_pose,
+    pose_after,
     relative_pose,
     transform_planar_points,
+    velocity_between,
 )
 
 poses = st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.1, 3.1)).map(
@@ -54,3 +57,27 @@ def test_points_move_as_by_the_transform(a):
     np.testing.assert_allclose(
         transform_planar_points(a, points_m), points_m @ T[:2, :2].T + T[:2, 3], atol=1e-9
     )
+
+
+velocities = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+
+
+@given(velocities, st.floats(-1.5, 1.5))
+def test_a_constant_velocity_leads_where_the_matrix_exponential_does(velocity, seconds):
+    x, y, turn = velocity * seconds
+    T = expm(np.array([[0.0, -turn, x], [turn, 0.0, y], [0.0, 0.0, 0.0]]))
+    expected = np.array([T[0, 2], T[1, 2], np.arctan2(T[1, 0], T[0, 0])])
+    assert_same(pose_after(velocity, seconds), expected)
+
+
+@given(velocities, st.floats(0.01, 1.5))
+def test_the_velocity_between_two_poses_leads_from_one_to_the_other(velocity, seconds):
+    found = velocity_between(pose_after(velocity, seconds), seconds)
+    np.testing.assert_allclose(found, velocity, atol=1e-9)
+
+
+@given(velocities, st.floats(-1.0, 1.0))
+def test_velocities_of_many_lead_where_each_does(velocity, seconds):
+    each = pose_after(np.stack([velocity, -velocity]), np.array([seconds, 0.5 * seconds]))
+    assert_same(each[0], pose_after(velocity, seconds))
+    assert_same(each[1], pose_after(-velocity, 0.5 * seconds))

@@ -166,7 +166,7 @@ def unmatched_geometry(
 ) -> FrameGeometry:
     """What is drawn of a frame without pairs: its depth, at its mount, and its scan."""
     model = rig.cameras[frame.camera]
-    T_lidar_camera = T_lidar_camera_at(model, frame.mount, 0.0)
+    T_lidar_camera = T_lidar_camera_at(model, frame.mount, np.zeros(3))
     surface = depth_surface(frame.depth_m, model, T_lidar_camera)
     of_scan = _empty_geometry(frame.stamp_ns) if frame.scan is None else scan_geometry(frame.scan)
     return replace(
@@ -240,7 +240,7 @@ def camera_pose(frame: FrameMatch, rig: CameraRig, alignment: RecordingAlignment
     camera = rig.cameras[frame.pair.camera_index]
     pairs = frame.correspondence
     if frame.row_model == "curve" or not pairs.beam.size:
-        return T_lidar_camera_at(camera, alignment.mount, frame.turned_rad)
+        return T_lidar_camera_at(camera, alignment.mount, frame.moved)
     intrinsics = camera.intrinsics
     # The yaw of the pairs themselves: they may be those of an offset chosen by hand.
     yaws_rad = pairs.azimuth_rad - camera.column_azimuths_rad(pairs.column.astype(np.float64))

@@ -16,17 +16,18 @@ from fusion_core.alignment.curves import (
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.given_mount import given_mount_sd, hold_given_mount
+from fusion_core.alignment.interpolated_scan import scan_at_image
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.alignment.mount_observation import MountObservation, mount_observation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
+from fusion_core.alignment.scan_motion import estimate_motion
 from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
-from fusion_core.alignment.time import estimate_turn_rate_rad_s, scan_at_image
 from fusion_core.denoising.correspondence import match_along_curve
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
-from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
+from fusion_core.model.geometry import transform_from_planar
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import LaserScan
@@ -347,7 +348,7 @@ def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
         pair.scan,
         pair.depth_m,
         pair.scan.stamp_ns + pair.gap_ns,
-        estimate_turn_rate_rad_s(pair.window, settings.time),
+        estimate_motion(pair.window, settings.time),
         pair.aligned_scan,
     )
 
@@ -359,25 +360,25 @@ def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | No
         return None
 
 
-def T_lidar_camera_at(camera: Camera, mount: Mount, turned_rad: float) -> FloatArray:
-    """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's,
-    between which the LiDAR turned by ``turned_rad``."""
-    turn = make_transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
-    T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ camera.T_rig_camera
+def T_lidar_camera_at(camera: Camera, mount: Mount, moved: FloatArray) -> FloatArray:
+    """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's, in
+    which the LiDAR has ``moved`` to the pose (3,)."""
+    T_scan_image = transform_from_planar(moved)
+    T_lidar_camera: FloatArray = T_scan_image @ mount.T_lidar_rig @ camera.T_rig_camera
     return T_lidar_camera
 
 
-def turned_rad(frame: MountObservation, mount: Mount, settings: ChainSettings) -> float:
-    """Turn of the LiDAR from the scan's stamp to the image's, as the stamps say, corrected by the
-    frame's own check against the mount."""
-    stamped = frame.turn_rate_rad_s * frame.image_after_scan_s
-    if not settings.time.compensate_turn:
-        stamped = 0.0
-    if settings.mount.frame_yaw_sd_deg == 0.0:
-        return stamped
-    # A clock offset, where the user applies it, is in the stamps already.
-    applied = replace(mount, clock_offset_ms=0.0)
-    return stamped + frame_yaw_offset_rad(frame, applied, settings.mount)
+def motion_to_image(frame: MountObservation, mount: Mount, settings: ChainSettings) -> FloatArray:
+    """(3,) pose of the LiDAR at the image's stamp in its frame at the scan's, as the stamps say,
+    its yaw corrected by the frame's own check against the mount."""
+    moved = np.zeros(3)
+    if settings.time.compensate_motion and frame.motion is not None:
+        moved = frame.motion.pose_after(frame.image_after_scan_s)
+    if settings.mount.frame_yaw_sd_deg > 0.0:
+        # A clock offset, where the user applies it, is in the stamps already.
+        applied = replace(mount, clock_offset_ms=0.0)
+        moved[2] += frame_yaw_offset_rad(frame, applied, settings.mount)
+    return moved
 
 
 def _learn_scale(
@@ -391,13 +392,13 @@ def _learn_scale(
     residuals = []
     for frame in kept:
         on_step()
-        turned = turned_rad(frame, mount, settings)
+        moved = motion_to_image(frame, mount, settings)
         pairs = match_along_curve(
             frame.scan,
             frame.raw_depth_m,
             frame.depth_m,
             frame.camera,
-            T_lidar_camera_at(frame.camera, mount, turned),
+            T_lidar_camera_at(frame.camera, mount, moved),
         )
         ranges.append(pairs.lidar_range_m)
         residuals.append(pairs.residual_m)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fusion_core.alignment.mount_settings import MountSettings
-from fusion_core.alignment.time import estimate_turn_rate_rad_s
+from fusion_core.alignment.scan_motion import estimate_motion
 from fusion_core.lens.projection import inside_image
 from fusion_core.model.conventions import (
     NS_PER_S,
@@ -33,15 +33,16 @@ _MIN_DEPTH_M = 0.05
 class SeenScan:
     """A scan and the depth image that was taken with it. ``points_m``: (N, 3) the ends of the beams
     that have one, in the LiDAR's frame at the scan's stamp; ``depth_m``: (H, W) the upright view of
-    camera ``camera``; ``turned_rad``: the LiDAR's turn from the scan's stamp to the image's."""
+    camera ``camera``; ``moved``: (3,) pose of the LiDAR at the image's stamp in that frame."""
 
     camera: int
     points_m: FloatArray
     depth_m: Float32Array
-    turned_rad: float
+    moved: FloatArray
 
     def __post_init__(self) -> None:
         read_only(self.points_m)
+        read_only(self.moved)
 
 
 def seen_scan(session: Session, paired: PairedImage) -> SeenScan | None:
@@ -51,15 +52,14 @@ def seen_scan(session: Session, paired: PairedImage) -> SeenScan | None:
     scan, time = paired.window.scan, session.settings.time
     has_end = np.isfinite(scan.ranges_m)
     azimuth_rad, range_m = scan.angles_rad[has_end], scan.ranges_m[has_end]
-    rate_rad_s = estimate_turn_rate_rad_s(paired.window, time) if time.compensate_turn else 0.0
-    turned_rad = rate_rad_s * paired.gap_ns / NS_PER_S
+    motion = estimate_motion(paired.window, time) if time.compensate_motion else None
     return SeenScan(
         camera=paired.camera,
         points_m=np.stack(
             [range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), 0.0 * range_m], axis=1
         ),
         depth_m=session.depth_of(paired.camera, paired.image.depth_m),
-        turned_rad=turned_rad if np.isfinite(turned_rad) else 0.0,
+        moved=np.zeros(3) if motion is None else motion.pose_after(paired.gap_ns / NS_PER_S),
     )
 
 
@@ -87,7 +87,7 @@ def curve_in_image(
     seen: SeenScan, camera: Camera, mount: Mount, settings: MountSettings
 ) -> CurveInImage:
     """Where the points of a scan are in its image by a mount."""
-    T_camera_lidar = invert_transform(T_lidar_camera_at(camera, mount, seen.turned_rad))
+    T_camera_lidar = invert_transform(T_lidar_camera_at(camera, mount, seen.moved))
     in_camera_m = transform_points(T_camera_lidar, seen.points_m)
     intrinsics = camera.intrinsics
     z_m = np.where(in_camera_m[:, 2] > _MIN_DEPTH_M, in_camera_m[:, 2], np.nan)

@@ -120,7 +120,7 @@ def _classify_and_repair(
         classes = overrule(classes, labels.of_beams(pairs.beam), of_pixels)
         # A value that a person rejects is no evidence for a repair.
         rejected = is_rejected(upright) & np.isfinite(depth_m)
-        T_lidar_camera = T_lidar_camera_at(match.pair.camera, alignment.mount, match.turned_rad)
+        T_lidar_camera = T_lidar_camera_at(match.pair.camera, alignment.mount, match.moved)
         row, column = pixels_met(pairs, match.pair.camera, T_lidar_camera)
         meets_rejected = (row >= 0) & _spread_to_missing(rejected, depth_m)[row, column]
         depth_m = np.where(rejected, np.float32(np.nan), depth_m)
@@ -172,7 +172,8 @@ def _frame_window(
     match: FrameMatch, scans: ScanWindow, pairs: Correspondence, depth_m: Float32Array
 ) -> FrameWindow:
     """The pairs of an image, or of its panorama, with what is around them in space and time."""
-    pair, rate = match.pair, match.turn_rate_rad_s
+    pair = match.pair
+    rate = float("nan") if match.motion is None else match.motion.turn_rate_rad_s
     previous = pair.previous if match.pasted is None else match.pasted.previous
     scans, pairs = _with_seam_behind(scans, pairs)
     scan = scans.scan

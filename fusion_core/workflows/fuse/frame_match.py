@@ -9,6 +9,7 @@ from fusion_core.alignment.curves import (
     RowSampling,
 )
 from fusion_core.alignment.panorama import PastedPanorama
+from fusion_core.alignment.scan_motion import ScanMotion
 from fusion_core.denoising.correspondence import (
     Correspondence,
     RowModel,
@@ -57,16 +58,16 @@ class FrameMatch:
     ``registration`` is None where it failed, for the reason in ``refusal``.
     ``u_of_rig``: added to a peak's u, it gives the u of the recording's field; not 0 where an image
     of several cameras is searched by itself.
-    ``turned_rad``: the turn from scan to image that the pairs were corrected by.
-    ``turn_rate_rad_s``: of the LiDAR, NaN where it cannot be estimated from its scans.
+    ``moved``: (3,) pose of the LiDAR at the image in its frame at the scan, by which the pairs were
+    corrected. ``motion``: of the LiDAR, None where it cannot be estimated from its scans.
     ``images``: how many were searched together.
     ``pasted``: the panorama whose samples were paired and registered, of which ``correspondence``
     is this image's part; None where the image was paired by itself.
     """
 
     pair: FramePair
-    turned_rad: float
-    turn_rate_rad_s: float
+    moved: FloatArray
+    motion: ScanMotion | None
     curve: CurveSampling
     row: RowSampling
     search: OffsetSearch

@@ -16,7 +16,7 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama
-from fusion_core.alignment.time import estimate_turn_rate_rad_s
+from fusion_core.alignment.scan_motion import ScanMotion, estimate_motion
 from fusion_core.denoising.correspondence import (
     Correspondence,
     compare_samples,
@@ -35,8 +35,8 @@ from fusion_core.registration.ransac import Registration, register
 from fusion_core.workflows.fuse.align import (
     RecordingAlignment,
     T_lidar_camera_at,
+    motion_to_image,
     observe_mount,
-    turned_rad,
 )
 from fusion_core.workflows.fuse.frame_match import FrameMatch, PastedPairs
 from fusion_core.workflows.fuse.offset_search import NO_SEARCH, OffsetSearch, search_offset
@@ -96,8 +96,8 @@ def match_images(
     return [
         FrameMatch(
             pair=one.pair,
-            turned_rad=one.turned_rad,
-            turn_rate_rad_s=one.turn_rate_rad_s,
+            moved=one.moved,
+            motion=one.motion,
             curve=searched.curve,
             row=searched.row,
             search=searched.search,
@@ -141,8 +141,8 @@ class _RegisteredPair:
     correspondence: Correspondence
     registration: Registration | None
     refusal: str
-    turn_rate_rad_s: float
-    turned_rad: float = 0.0
+    motion: ScanMotion | None
+    moved: FloatArray
     pasted: PastedPairs | None = None
 
 
@@ -194,8 +194,8 @@ def _register_mounted(
         correspondence=own,
         registration=registration,
         refusal=refusal,
-        turn_rate_rad_s=paired.observation.turn_rate_rad_s,
-        turned_rad=paired.turned_rad,
+        motion=paired.observation.motion,
+        moved=paired.moved,
     )
 
 
@@ -206,7 +206,7 @@ class _MountedPair:
 
     pair: FramePair
     observation: MountObservation
-    turned_rad: float
+    moved: FloatArray
     along_curve: Correspondence | None
 
 
@@ -218,15 +218,15 @@ def _pair_by_mount(
     picked: tuple[float, float] | None,
 ) -> _MountedPair:
     observation = observe_mount(pair, settings)
-    turned = 0.0
+    moved = np.zeros(3)
     along = None
     if picked is None and alignment.along_curve:
-        turned = turned_rad(observation, alignment.mount, settings)
-        T_lidar_camera = T_lidar_camera_at(pair.camera, alignment.mount, turned)
+        moved = motion_to_image(observation, alignment.mount, settings)
+        T_lidar_camera = T_lidar_camera_at(pair.camera, alignment.mount, moved)
         along = match_along_curve(
             pair.scan, pair.depth_m, observation.depth_m, pair.camera, T_lidar_camera
         )
-    return _MountedPair(pair=pair, observation=observation, turned_rad=turned, along_curve=along)
+    return _MountedPair(pair=pair, observation=observation, moved=moved, along_curve=along)
 
 
 def _pair_in_row(
@@ -241,18 +241,17 @@ def _pair_in_row(
         yaw_rad = yaw_of_offset_rad(offset[0], searched.curve, searched.row.left_rad)
         v = offset[1]
     # The offset is that of the scan which was searched; the values are the paired one's.
-    turned = (
-        0.0 if offset is None else _turned_to_aligned_rad(pair, paired.observation.turn_rate_rad_s)
-    )
-    T_lidar_camera = T_lidar_camera_at(pair.camera, Mount(yaw_rad=yaw_rad), turned)
+    turned = 0.0 if offset is None else _turned_to_aligned_rad(pair, paired.observation.motion)
+    turn = np.array([0.0, 0.0, turned])
+    T_lidar_camera = T_lidar_camera_at(pair.camera, Mount(yaw_rad=yaw_rad), turn)
     smooth_m = paired.observation.depth_m
     return match_in_row(pair.scan, pair.depth_m, smooth_m, pair.camera, T_lidar_camera, round(v))
 
 
-def _turned_to_aligned_rad(pair: FramePair, turn_rate_rad_s: float) -> float:
+def _turned_to_aligned_rad(pair: FramePair, motion: ScanMotion | None) -> float:
     """The LiDAR's turn from the paired scan to the one that is searched."""
     seconds = (pair.aligned_scan.stamp_ns - pair.scan.stamp_ns) / NS_PER_S
-    return turn_rate_rad_s * seconds if np.isfinite(turn_rate_rad_s) else 0.0
+    return 0.0 if motion is None else motion.turn_rate_rad_s * seconds
 
 
 def _paste_previous(panorama: PastedPanorama, pairs: Sequence[FramePair]) -> UprightDepth | None:
@@ -282,7 +281,7 @@ def _expected_offset(
             continue
         # The search does not correct the turn between the stamps: it is removed from the offset
         # that is expected.
-        turned = paired.turned_rad / curve.step_rad
+        turned = float(paired.moved[2]) / curve.step_rad
         compared = np.isfinite(pairs.residual_m)
         on_curve = curve.sample_of_azimuth(pairs.azimuth_rad[compared])
         if is_panorama:
@@ -356,9 +355,9 @@ def _match_by_own_peak(
     offset = searched.offset(settings, picked)
     if offset is None:
         raise AlignmentFailed("the frame's field has no peak.")
-    rate = estimate_turn_rate_rad_s(pairs[0].window, settings.time)
+    motion = estimate_motion(pairs[0].window, settings.time)
     # The offset is that of the scan which was searched; the values are the paired one's.
-    u = curve.on_curve(offset[0] - _turned_to_aligned_rad(middle, rate) / curve.step_rad)
+    u = curve.on_curve(offset[0] - _turned_to_aligned_rad(middle, motion) / curve.step_rad)
     whole, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, u, offset[1])
     registration, refusal = _register(lidar, depth, settings)
     if registration is not None:
@@ -381,7 +380,8 @@ def _match_by_own_peak(
             correspondence=whole if pasted is None else pasted.part_of(pair.camera_index),
             registration=registration,
             refusal=refusal,
-            turn_rate_rad_s=rate,
+            motion=motion,
+            moved=np.zeros(3),
             pasted=pasted,
         )
         for pair in pairs

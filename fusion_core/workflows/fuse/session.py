@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion_core.alignment.time import scan_at_image
+from fusion_core.alignment.interpolated_scan import scan_at_image
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.given_extrinsics import GivenExtrinsics

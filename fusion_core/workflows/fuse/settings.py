@@ -70,7 +70,7 @@ class ChainSettings(SettingsGroup):
 PRESETS: dict[PresetName, ChainSettings] = {
     "default": ChainSettings(),
     "published": ChainSettings(
-        time=TimeSettings(compensate_turn=False),
+        time=TimeSettings(compensate_motion=False),
         sampling=SamplingSettings(by="index", row_band=0.5),
         search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False, sub_samples=1),
         registration=PUBLISHED,

@@ -83,7 +83,7 @@ def open_scans(
 
     ``settings``: of virtual scans. ``chain``: of the repair, and of the alignment that finds the
     extrinsics where ``sensors`` have none. ``prior``: odometry of the scans' frame, which moves a
-    camera's cloud to the stamp of its scan; without it only the turn between scans is taken out.
+    camera's cloud to the stamp of its scan; without it by the motion between the scans.
     ``labels``: a person's, which overrule the classes of the repair. ``pool``: the processes that
     repair, by default this one.
 

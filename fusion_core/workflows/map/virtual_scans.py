@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fusion_core.alignment.time import ScanWindow, TimeSettings, estimate_turn_rate_rad_s
+from fusion_core.alignment.scan_motion import estimate_motion
+from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.mapping.camera_points import project_to_cloud
 from fusion_core.mapping.height_bands import ImageEdges
 from fusion_core.mapping.virtual_scan import (
@@ -274,17 +275,15 @@ class _CloudReader:
         self, from_ns: int, to_ns: int, window: ScanWindow | None
     ) -> FloatArray | None:
         """(3,) pose of the scans' frame at ``from_ns`` in that at ``to_ns``: by odometry, else the
-        turn between the scans, else None."""
+        motion between the scans, else None."""
         if self._prior is not None:
             before, after = self._prior(from_ns), self._prior(to_ns)
             if before is not None and after is not None:
                 return relative_pose(after, before)
         if window is None:
             return None
-        rate_rad_s = estimate_turn_rate_rad_s(window, TimeSettings())
-        if not np.isfinite(rate_rad_s):
-            return None
-        return np.array([0.0, 0.0, rate_rad_s * (from_ns - to_ns) / NS_PER_S])
+        motion = estimate_motion(window, TimeSettings())
+        return None if motion is None else motion.pose_after((from_ns - to_ns) / NS_PER_S)
 
 
 def _with_end_mark(messages: Iterator[Message]) -> Iterator[Message | None]:

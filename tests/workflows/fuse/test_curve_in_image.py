@@ -25,10 +25,11 @@ SETTINGS = MountSettings()
 def points_by_formula(seen: SeenScan, mount: Mount) -> dict[int, tuple[float, float, float]]:
     """(u, v, z) of each point that is in the image: eq. by eq."""
     found = {}
-    yaw = seen.turned_rad + mount.yaw_rad
-    at = rotation_from_yaw_pitch_roll(seen.turned_rad, 0.0, 0.0) @ np.array(
+    drive_x, drive_y, turned = seen.moved
+    yaw = turned + mount.yaw_rad
+    at = rotation_from_yaw_pitch_roll(turned, 0.0, 0.0) @ np.array(
         [mount.forward_m, mount.left_m, mount.delta_z_m]
-    )
+    ) + [drive_x, drive_y, 0.0]
     for number, point in enumerate(seen.points_m):
         x, y, up = point - at
         ahead = np.cos(yaw) * x + np.sin(yaw) * y
@@ -43,18 +44,18 @@ def points_by_formula(seen: SeenScan, mount: Mount) -> dict[int, tuple[float, fl
 
 @given(
     yaw=st.floats(-0.6, 0.6),
-    turned=st.floats(-0.2, 0.2),
+    moved=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.2, 0.2)),
     place=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
     seed=st.integers(0, 2**16),
 )
-def test_pixels_and_differences_are_those_of_the_formula(yaw, turned, place, seed) -> None:
+def test_pixels_and_differences_are_those_of_the_formula(yaw, moved, place, seed) -> None:
     rng = np.random.default_rng(seed)
     azimuth = rng.uniform(-1.2, 1.2, 60)
     range_m = rng.uniform(0.2, 5.0, 60)
     depth_m = rng.uniform(0.5, 5.0, (HEIGHT, WIDTH)).astype(np.float32)
     depth_m[rng.random(depth_m.shape) < 0.2] = np.nan
     points_m = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0 * range_m], axis=1)
-    seen = SeenScan(camera=0, points_m=points_m, depth_m=depth_m, turned_rad=turned)
+    seen = SeenScan(camera=0, points_m=points_m, depth_m=depth_m, moved=np.array(moved))
     mount = Mount(yaw_rad=yaw, forward_m=place[0], left_m=place[1], delta_z_m=place[2])
     curve = curve_in_image(seen, CAMERA, mount, SETTINGS)
     expected = points_by_formula(seen, mount)

@@ -118,8 +118,8 @@ def test_a_published_pair_is_turned_back_to_the_measured_scan(run) -> None:
         curve, pairs = match.curve, match.correspondence
         u = match.search.peaks["pearson"].u
         turned = 0.0
-        if is_interpolated(frame) and np.isfinite(match.turn_rate_rad_s):
-            turned = match.turn_rate_rad_s * match.pair.gap_ns / NS_PER_S
+        if is_interpolated(frame) and match.motion is not None:
+            turned = match.motion.turn_rate_rad_s * match.pair.gap_ns / NS_PER_S
         # A LiDAR that has turned left sees a thing farther to its right.
         first = round(u - turned / curve.step_rad)
         inside = (first + np.arange(match.row.columns.size) >= 0) & (

@@ -19,7 +19,7 @@ from tests.hostile.settings import (
 # What Xu 2024 does, with our reading where its text does not decide.
 PUBLISHED = {
     "pairing": "frame",
-    "time.compensate_turn": False,
+    "time.compensate_motion": False,
     "sampling.by": "index",
     "sampling.step_deg": 1.0,
     "sampling.row_first": 0,
