@@ -44,6 +44,8 @@ _ANNEALING = (4.0, 2.0)
 _MAX_ITERATIONS = 15
 # A step this small against the deviation changes nothing.
 _LAST_STEP_SD = 0.02
+# A fit whose residuals have grown by this factor since its start has run away.
+_RUN_AWAY = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,9 +168,10 @@ def refine_in_plane(
 ) -> PlaneFit | None:
     """Iteratively reweighted Gauss-Newton from ``start`` (6,) over the ``free`` of IN_PLANE.
 
-    None where hardly more points than parameters are on lines.
+    None where hardly more points than parameters are on lines, and where it runs away: at a wrong
+    height the pixels may be of table tops, which are not upright.
     """
-    values, stretch, noise = start.copy(), 0.0, 1.0
+    values, stretch, noise, noise_at_start = start.copy(), 0.0, 1.0, np.inf
     prior = np.diag(1.0 / np.append(priors.sd[IN_PLANE], priors.stretch_sd) ** 2)
     moved = np.append(free, True)
     for iteration in range(_MAX_ITERATIONS):
@@ -176,6 +179,8 @@ def refine_in_plane(
         if residuals.values.size < 4 * _UNKNOWNS:
             return None
         noise = max(robust_sigma(residuals.values), _LEAST_NOISE)
+        if iteration == 0:
+            noise_at_start = noise
         widened = noise * (_ANNEALING[iteration] if iteration < len(_ANNEALING) else 1.0)
         scores, weight = _linearize(residuals, widened)
         J = residuals.jacobian
@@ -189,6 +194,8 @@ def refine_in_plane(
         sd = np.sqrt(np.diag(np.linalg.inv(curvature)))
         if iteration >= len(_ANNEALING) and (np.abs(step[moved]) < _LAST_STEP_SD * sd).all():
             break
+    if noise > _RUN_AWAY * noise_at_start:
+        return None
     residuals = lines.residuals(values, stretch)
     scores, weight = _linearize(residuals, noise)
     return PlaneFit(
