@@ -190,12 +190,13 @@ def _find_mount(
     if floor is not None:
         priors = priors.with_pitch(floor.pitch_rad, floor.pitch_sd_rad)
     heights = sample_heights(problem, best, heights_m, priors)
-    starts = [
-        keep_sight(fit, heights.range_m, float(heights.best[1]), float(heights.best[4]))
-        for fit in fits
-        if have_same_yaw(fit[0], best[0])
-    ]
-    found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
+    near = [fit for fit in fits if have_same_yaw(fit[0], best[0])]
+    for at in (heights.best, heights.least):
+        starts = [keep_sight(fit, heights.range_m, float(at[1]), float(at[4])) for fit in near]
+        found = fit_in_plane(problem, lines, [at, *starts], priors)
+        if np.isfinite(found.sd).any():
+            break
+        # Where no fit holds, pixels at the height that shows most are not of upright surfaces.
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
     sd = np.hypot(sd, moved_by_height(lines, found, heights.least, priors))

@@ -18,6 +18,8 @@ _PRIOR_BLOCKS = 20.0
 # Minima of the height profile and yaws that are refined: each costs hundreds of evaluations.
 _MAX_STARTS = 3
 _MAX_RIVAL_YAWS = 3
+# What is compared sees at least this fraction of the points that another sees.
+_LEAST_IN_FRONT = 0.5
 # Yaws nearer than this count as one; set by hand.
 _SAME_YAW_RAD = np.deg2rad(5.0)
 # Steps of the search: large against a pixel, small against a mode.
@@ -46,7 +48,14 @@ def choose_mount(
     problem: MountCost, fits: list[FloatArray], yaw_rad: float
 ) -> tuple[FloatArray, bool]:
     """The best fit near the rows' yaw, unless another is significantly better; and whether it is
-    not significantly better than all that have another yaw."""
+    not significantly better than all that have another yaw.
+
+    A fit counts where at least half as many points lie in front of a camera as at the best one:
+    far from the LiDAR, a camera looks away from most of what could contradict it.
+    """
+    in_front = np.array([problem.tallies_per_frame(fit)[:, 1].sum() for fit in fits])
+    sees_enough = in_front >= _LEAST_IN_FRONT * in_front.max()
+    fits = [fit for fit, enough in zip(fits, sees_enough, strict=True) if enough]
     near = [fit for fit in fits if have_same_yaw(fit[0], yaw_rad)]
     best = min(near or fits, key=problem.mean_cost)
     cheapest = min(fits, key=problem.mean_cost)
@@ -121,7 +130,7 @@ def _find_rival_yaws(problem: MountCost, centre: FloatArray, heights_m: FloatArr
             tallies = problem.tallies_per_frame(values).sum(axis=0)
             in_front[index] = tallies[1]
             costs[index] = min(costs[index], tallies[0] / max(tallies[1], 1.0))
-    costs[in_front < 0.5 * in_front.max()] = np.inf
+    costs[in_front < _LEAST_IN_FRONT * in_front.max()] = np.inf
     found: list[float] = []
     for index in np.argsort(costs):
         yaw = float(yaws[index])
