@@ -183,7 +183,7 @@ def _compare(
             rest = np.delete(ordered, place)
             median[index], spread[index] = np.median(rest), qn_scale(rest)
     spread = np.maximum(spread, _SPREAD_MIN_OF_SHIFT * quantity.smallest_step(median, settings))
-    z = (scaled - median) / np.hypot(spread, sd)
+    z = (scaled - median) / np.hypot(spread, quantity.sd_to_scale(values, sd))
     centre = quantity.from_scale(median)
     return wrap_angle(centre + origin) if quantity.scale == "angle" else centre, spread, z
 

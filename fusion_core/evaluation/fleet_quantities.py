@@ -106,6 +106,13 @@ class Quantity:
         """Values on the scale on which they are compared."""
         return np.arcsin(np.sqrt(values)) if self.scale == "proportion" else values
 
+    def sd_to_scale(self, values: FloatArray, sd: FloatArray) -> FloatArray:
+        """Standard deviations of values on the scale on which they are compared."""
+        if self.scale != "proportion":
+            return sd
+        low, high = np.clip(values - sd, 0.0, 1.0), np.clip(values + sd, 0.0, 1.0)
+        return 0.5 * (self.to_scale(high) - self.to_scale(low))
+
     def from_scale(self, scaled: FloatArray) -> FloatArray:
         """The reverse of ``to_scale``, beyond its ends the value there."""
         if self.scale != "proportion":

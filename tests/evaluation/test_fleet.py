@@ -10,7 +10,7 @@ from scipy import stats
 from statsmodels.robust.scale import qn_scale as statsmodels_qn
 
 from fusion_core.evaluation.fleet import FleetValues, find_deviations
-from fusion_core.evaluation.fleet_quantities import QUANTITIES, FleetSettings
+from fusion_core.evaluation.fleet_quantities import QUANTITIES, FleetSettings, Quantity
 from fusion_core.evaluation.fleet_spread import qn_scale, z_threshold
 from fusion_core.model.conventions import FloatArray
 
@@ -282,3 +282,21 @@ def test_an_empty_batch_has_no_deviations() -> None:
     found = find_deviations(fleet_of(np.empty((0, len(QUANTITIES)))), SETTINGS)
     assert found.z.shape == (0, len(QUANTITIES))
     assert found.notes == ()
+
+
+def test_a_share_that_varies_along_its_recording_is_compared_with_its_own_variance() -> None:
+    values = column(HOLES, sound(3)[:, HOLES])
+    values[4, HOLES] = 0.5
+    still, varying = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
+    still[:, HOLES], varying[:, HOLES] = 0.01, 0.01
+    varying[4, HOLES] = 0.15
+    assert find_deviations(fleet_of(values, still), SETTINGS).is_flagged[4, HOLES]
+    assert not find_deviations(fleet_of(values, varying), SETTINGS).is_flagged.any()
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.name)
+def test_deviations_are_carried_to_the_compared_scale(quantity: Quantity) -> None:
+    drawn = np.random.default_rng(2).normal(0.3, 0.03, 20_000)
+    stated = quantity.sd_to_scale(np.array([0.3]), np.array([0.03]))
+    assert stated[0] == pytest.approx(quantity.to_scale(drawn).std(), rel=0.03)
+    assert np.isfinite(quantity.sd_to_scale(np.array([0.0, 1.0]), np.array([0.03, 2.0]))).all()

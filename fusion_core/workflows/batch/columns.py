@@ -2,7 +2,7 @@
 and the workbench's list."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -84,50 +84,53 @@ _MOUNT_LABELS = {
 
 
 def _mount_columns() -> list[Column]:
-    columns = []
+    columns: list[Column] = []
     for name in MOUNT_PARAMETERS:
         label, text = _MOUNT_LABELS[name]
         unit = name.rsplit("_", 1)[1]
-        show: Show = "degrees" if unit == "rad" else "real"
-        digits = {"rad": 2, "m": 3, "ms": 1}[unit]
-        columns += [
+        columns += _with_deviation(
             Column(
                 name=name,
                 type="real",
                 unit=unit,
                 label=label,
                 help=f"{text}; empty where the recording does not show it",
-                show=show,
-                digits=digits,
-            ),
-            Column(
-                name=f"{name}_sd",
-                type="real",
-                unit=unit,
-                label="±",
-                help=f"Standard deviation of {name}",
-                show=show,
-                digits=digits,
-                sd_of=name,
-            ),
-        ]
+                show="degrees" if unit == "rad" else "real",
+                digits={"rad": 2, "m": 3, "ms": 1}[unit],
+            )
+        )
     return columns
 
 
 def _share_columns() -> list[Column]:
     sensors = {"lidar": ("LiDAR", "beams in view"), "depth": ("depth", "their pixels")}
     return [
-        Column(
-            name=f"{sensor}_{noise}_share",
-            type="real",
-            label=f"{label} {noise}s, %",
-            help=f"Fraction of {of} that are classified as {noise}s",
-            show="percent",
-            digits=1,
-        )
+        column
         for noise in ("hole", "burr", "conflict")
         for sensor, (label, of) in sensors.items()
+        for column in _with_deviation(
+            Column(
+                name=f"{sensor}_{noise}_share",
+                type="real",
+                label=f"{label} {noise}s, %",
+                help=f"Fraction of {of} that are classified as {noise}s",
+                show="percent",
+                digits=1,
+            )
+        )
     ]
+
+
+def _with_deviation(column: Column) -> tuple[Column, Column]:
+    """A column, and that of its standard deviations."""
+    deviation = replace(
+        column,
+        name=f"{column.name}_sd",
+        label="±",
+        help=f"Standard deviation of {column.name}",
+        sd_of=column.name,
+    )
+    return column, deviation
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -194,14 +197,16 @@ COLUMNS: tuple[Column, ...] = (
         digits=3,
     ),
     *_share_columns(),
-    Column(
-        name="untrusted_share",
-        type="real",
-        label="not trusted, %",
-        help="Fraction of the images whose own offset contradicts the recording's, or of the scans "
-        "that do not fit the map",
-        show="percent",
-        digits=1,
+    *_with_deviation(
+        Column(
+            name="untrusted_share",
+            type="real",
+            label="not trusted, %",
+            help="Fraction of the images whose own offset contradicts the recording's, or of the "
+            "scans that do not fit the map",
+            show="percent",
+            digits=1,
+        )
     ),
     Column(
         name="untrusted_stretches",

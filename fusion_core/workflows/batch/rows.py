@@ -13,6 +13,7 @@ from fusion_core.model.conventions import NS_PER_S, BoolArray
 from fusion_core.model.names import escape_undecodable, printable
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.workflows.batch.columns import Row, unknown_row
+from fusion_core.workflows.batch.frame_totals import FrameTotals
 from fusion_core.workflows.batch.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -123,23 +124,19 @@ def describe_geometry(alignment: Mapping[str, Any]) -> str:
 
 
 @dataclass(slots=True, kw_only=True)
-class _FrameTotals:
-    """What is added up over the images of a recording."""
+class _FrameRows:
+    """What is known of a recording after some of the rows of its frames.csv."""
 
-    counts: dict[str, int]
+    totals: FrameTotals
     first_ns: int | None = None
     last_ns: int | None = None
-    paired: int = 0
-    untrusted: int = 0
-    stretches: int = 0
+    untrusted_stretches: int = 0
     is_in_stretch: bool = False
 
     def add(self, block: "pa.RecordBatch", prior_samples: float, turn: float | None) -> None:
         """Add the images of a block, which follow those before."""
         import pyarrow.compute as pc
 
-        for name in _COUNTS:
-            self.counts[name] += pc.sum(block[name]).as_py() or 0
         for name in _STAMPS:
             ends = pc.min_max(block[name]).as_py()
             if ends["min"] is not None:
@@ -149,9 +146,9 @@ class _FrameTotals:
         is_paired = np.asarray(pc.is_valid(block["scan_stamp_ns"]))
         untrusted = is_paired & ~_is_trusted(block, prior_samples, turn)
         before = np.concatenate([[self.is_in_stretch], untrusted[:-1]])
-        self.paired += int(is_paired.sum())
-        self.untrusted += int(untrusted.sum())
-        self.stretches += int((untrusted & ~before).sum())
+        counts = [np.asarray(pc.fill_null(block[name], 0)) for name in _COUNTS]
+        self.totals.add(np.stack([*counts, is_paired, untrusted], axis=1))
+        self.untrusted_stretches += int((untrusted & ~before).sum())
         if untrusted.size:
             self.is_in_stretch = bool(untrusted[-1])
 
@@ -186,26 +183,27 @@ def _read_frames(folder: Path, alignment: Mapping[str, Any]) -> Row:
     options = csv.ConvertOptions(
         include_columns=list(types), column_types=types, strings_can_be_null=True
     )
-    totals = _FrameTotals(counts=dict.fromkeys(_COUNTS, 0))
+    totals = FrameTotals((*_COUNTS, "paired", "untrusted"))
+    rows = _FrameRows(totals=totals)
     read = csv.ReadOptions(block_size=_BLOCK_BYTES, use_threads=False)
     with (
         open_regular(folder / "frames.csv") as stream,
         csv.open_csv(stream, read_options=read, convert_options=options) as blocks,
     ):
         for block in blocks:
-            totals.add(block, prior_samples, turn)
+            rows.add(block, prior_samples, turn)
     row: Row = {}
     for sensor in ("lidar", "depth"):
-        total = sum(totals.counts[f"{sensor}_{noise}"] for noise in _CLASSES)
-        for noise in _CLASSES[1:]:
-            count = totals.counts[f"{sensor}_{noise}"]
-            row[f"{sensor}_{noise}_share"] = count / total if total else None
-    if totals.first_ns is not None and totals.last_ns is not None:
-        row["start_ns"] = totals.first_ns
-        row["duration_s"] = (totals.last_ns - totals.first_ns) / NS_PER_S
-    if totals.paired:
-        row["untrusted_share"] = totals.untrusted / totals.paired
-        row["untrusted_stretches"] = totals.stretches
+        classes = tuple(f"{sensor}_{noise}" for noise in _CLASSES)
+        for column in classes[1:]:
+            row[f"{column}_share"], row[f"{column}_share_sd"] = totals.share(column, classes)
+    if rows.first_ns is not None and rows.last_ns is not None:
+        row["start_ns"] = rows.first_ns
+        row["duration_s"] = (rows.last_ns - rows.first_ns) / NS_PER_S
+    share = totals.share("untrusted", ("paired",))
+    row["untrusted_share"], row["untrusted_share_sd"] = share
+    if totals.total("paired"):
+        row["untrusted_stretches"] = rows.untrusted_stretches
     return row
 
 
