@@ -1,12 +1,13 @@
 """The mount of a camera on a LiDAR in simulated rooms, where the true one is known."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 import pytest
 
+from fusion_core.alignment.in_plane_mount import InPlaneMount, fit_in_plane
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_observation import (
@@ -14,9 +15,14 @@ from fusion_core.alignment.mount_observation import (
     mount_observation,
     remove_speckle,
 )
-from fusion_core.alignment.mount_refinement import ScanLines
+from fusion_core.alignment.mount_refinement import (
+    IN_PLANE,
+    LineResiduals,
+    ScanLines,
+    refine_in_plane,
+)
 from fusion_core.alignment.mount_search import choose_mount
-from fusion_core.alignment.mount_settings import MountSettings
+from fusion_core.alignment.mount_settings import MountPriors, MountSettings
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.alignment.scan_motion import ScanMotion
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
@@ -216,15 +222,20 @@ def test_height_and_pitch_are_unobservable_in_a_plain_room(box_room) -> None:
 
 @dataclass(frozen=True)
 class BlockCosts:
-    """Stands in for a MountCost: the costs of some yaws by blocks of frames."""
+    """Stands in for a MountCost: the costs of some yaws by blocks of frames, and the number of
+    points in front of the camera, 100 unless told."""
 
     costs_of_yaw: dict[float, list[float]]
+    in_front_of_yaw: dict[float, int] = field(default_factory=dict)
 
     def block_costs(self, values: np.ndarray) -> np.ndarray:
         return np.array(self.costs_of_yaw[float(values[0])])
 
     def mean_cost(self, values: np.ndarray) -> float:
         return float(self.block_costs(values).mean())
+
+    def tallies_per_frame(self, values: np.ndarray) -> np.ndarray:
+        return np.array([[np.nan, self.in_front_of_yaw.get(float(values[0]), 100), np.nan]])
 
 
 @pytest.mark.parametrize(
@@ -246,6 +257,66 @@ def test_a_yaw_is_stated_where_its_rivals_are_clearly_worse(
     fits = [np.array([yaw, 0.0, 0.0, 0.0, 0.0, 0.0]) for yaw in problem.costs_of_yaw]
     best, found_ambiguous = choose_mount(cast(MountCost, problem), fits, yaw_rad=0.11)
     assert (best[0], found_ambiguous) == (chosen, is_ambiguous)
+
+
+@pytest.mark.parametrize(("in_front", "is_rival"), [(49, False), (51, True)])
+def test_a_camera_that_sees_too_little_is_no_rival(in_front: int, is_rival: bool) -> None:
+    problem = BlockCosts(
+        {0.1: [0.2, 0.21, 0.19, 0.2], 1.7: [0.05, 0.06, 0.05, 0.06]}, {1.7: in_front}
+    )
+    fits = [np.array([yaw, 0.0, 0.0, 0.0, 0.0, 0.0]) for yaw in problem.costs_of_yaw]
+    best, is_ambiguous = choose_mount(cast(MountCost, problem), fits, yaw_rad=0.1)
+    assert (best[0], is_ambiguous) == (1.7 if is_rival else 0.1, False)
+
+
+@dataclass(frozen=True)
+class GrowingLines:
+    """Stands in for ScanLines: the residuals grow by ``growth`` from each mount to the next, while
+    their derivative says that it is on the way to less."""
+
+    growth: float
+    seen: list[int] = field(default_factory=list)
+
+    def residuals(self, values: np.ndarray, stretch: float) -> LineResiduals:
+        self.seen.append(len(self.seen))
+        spread = np.random.default_rng(0).normal(0.0, 1.0, (200, 6))
+        return LineResiduals(
+            values=self.growth ** self.seen[-1] * (1.0 + spread[:, 0]),
+            jacobian=spread[:, 1:],
+            line_error=np.zeros((200, 5)),
+            rate_error=np.zeros((200, 5)),
+            frame=np.arange(200) // 20,
+            place=np.arange(200) % 20,
+        )
+
+
+@pytest.mark.parametrize(("growth", "holds"), [(1.1, False), (1.0, True), (0.95, True)])
+def test_a_fit_that_runs_away_is_none(growth: float, holds: bool) -> None:
+    priors = MountPriors.without_recorded(0.0, SETTINGS)
+    free = np.ones(IN_PLANE.size, dtype=np.bool_)
+    lines = cast(ScanLines, GrowingLines(growth))
+    fit = refine_in_plane(lines, priors.centre.copy(), priors, free)
+    assert (fit is not None) == holds
+
+
+def test_another_height_is_tried_where_no_fit_holds(
+    furnished_room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the height that shows most, the pixels may be of table tops."""
+    tried = []
+
+    def fit_once(*given, **named) -> InPlaneMount:
+        fit = fit_in_plane(*given, **named)
+        tried.append(given[2][0])
+        return fit if len(tried) > 1 else replace(fit, sd=np.full(fit.sd.shape, np.inf))
+
+    monkeypatch.setattr("fusion_core.alignment.mount.fit_in_plane", fit_once)
+    truth = random_mount(3)
+    found = trial(drive(furnished_room, truth, 3), truth)
+    assert len(tried) == 2
+    assert tried[0][1] != tried[1][1]
+    assert found.estimate.is_confident
+    assert abs(found.errors[0]) < np.deg2rad(1.0)
 
 
 def test_where_the_yaw_is_not_known_neither_is_what_goes_with_it(box_room) -> None:
@@ -277,7 +348,7 @@ def test_a_drive_from_scan_to_image_does_not_move_the_mount(furnished_room, driv
 
 def test_a_delay_moves_residuals_by_the_drive_in_it(furnished_room) -> None:
     """Against differences of the residuals whose pixels stay."""
-    mount = random_mount(4)
+    mount = random_mount(3)
     frames = drive(furnished_room, mount, 4, rate=0.0, count=4, drive_m_s=(0.5, -0.3))
     frames = [
         replace(one, motion=ScanMotion(velocity=np.array([0.5, -0.3, 0.0]), turn_rate_sd_rad_s=0.0))
@@ -409,7 +480,7 @@ def test_a_recorded_mount_that_contradicts_the_data_is_not_used(short_drive: Sho
 
 
 def test_the_same_frames_give_the_same_mount(furnished_room) -> None:
-    truth = random_mount(4)
+    truth = random_mount(3)
     one, other = (
         estimate_mount(drive(furnished_room, truth, 4, count=5), SETTINGS, yaw_rad=truth.yaw_rad)
         for _ in range(2)
@@ -420,7 +491,7 @@ def test_the_same_frames_give_the_same_mount(furnished_room) -> None:
 
 def test_few_frames_do_not_determine_an_uncertainty(furnished_room) -> None:
     """Four frames have next to no spread: a mount is found, and is not confident."""
-    truth = random_mount(4)
+    truth = random_mount(3)
     frames = drive(furnished_room, truth, 4, count=4)
     estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
     assert estimate.mount.sd == (None,) * 6
@@ -428,7 +499,7 @@ def test_few_frames_do_not_determine_an_uncertainty(furnished_room) -> None:
 
 
 def test_too_few_frames_or_points_are_a_failure(furnished_room) -> None:
-    truth = random_mount(4)
+    truth = random_mount(3)
     frames = drive(furnished_room, truth, 4, count=4)
     with pytest.raises(AlignmentFailed, match="got 3"):
         estimate_mount(frames[:3], SETTINGS, yaw_rad=truth.yaw_rad)
