@@ -291,12 +291,13 @@ def _holds_anything(values: "pa.ChunkedArray") -> bool:
 
 
 def format_with_deviation(column: Column, row: Row) -> str:
-    """A value of a row as text, with its standard deviation where it has one."""
+    """A value of a row as text, with its standard deviation where the digits show it."""
     value, sd = row[column.name], row.get(f"{column.name}_sd")
     text = column.format(value)
     if value is None or sd is None:
         return text
-    return f"{text} ± {column_of(f'{column.name}_sd').format(sd)}"
+    sd_text = column_of(f"{column.name}_sd").format(sd)
+    return f"{text} ± {sd_text}" if float(sd_text) > 0.0 else text
 
 
 def unknown_row() -> Row:

@@ -20,6 +20,7 @@ from fusion_core.workflows.batch.columns import (
     arrow_batch,
     arrow_schema,
     column_of,
+    format_with_deviation,
     unknown_row,
 )
 from fusion_core.workflows.batch.rows import read_row
@@ -47,6 +48,13 @@ def test_each_column_is_declared_once_and_explained() -> None:
         assert column.help
         assert column.label
         assert column.sd_of is None or column.sd_of in names
+
+
+@pytest.mark.parametrize(("sd", "text"), [(0.028, "11.7 ± 2.8"), (0.0004, "11.7"), (None, "11.7")])
+def test_a_deviation_is_shown_where_its_digits_are(sd: float | None, text: str) -> None:
+    name = "depth_conflict_share"
+    row = unknown_row() | {name: 0.117, f"{name}_sd": sd}
+    assert format_with_deviation(column_of(name), row) == text
 
 
 def test_a_real_run_has_the_row_that_its_files_tell(tmp_path: Path) -> None:
