@@ -21,7 +21,7 @@ from fusion_core.model.conventions import (
     FloatArray,
     IntArray,
 )
-from fusion_core.model.geometry import invert_transform
+from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.planar_poses import invert_pose, pose_after
 from fusion_core.model.rig import Mount
 
@@ -47,8 +47,7 @@ class MountCost:
 
     ``max_range_m``: the longest measured range of the LiDAR. ``velocities``: (F, 3) of the LiDAR
     as those of ``ScanMotion``, 0 where a frame does not know it; ``turn_rate_sd_rad_s``: (F,).
-    ``on_step`` is called before each
-    mount that is tried, and may raise to end the search.
+    ``on_step`` is called before each mount that is tried, and may raise to end the search.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class MountCost:
         T_camera_lidar = (
             self._T_camera_rig
             @ invert_transform(mount.T_lidar_rig)
-            @ _planar_transforms(invert_pose(self.moved(mount)))
+            @ transform_from_planar(invert_pose(self.moved(mount)))
         )
         tallies: FloatArray = self._tallies(T_camera_lidar[np.newaxis], group, groups)[0]
         return tallies
@@ -140,8 +139,8 @@ class MountCost:
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
         turns = np.zeros((yaws_rad.size, 3))
         turns[:, 2] = -yaws_rad
-        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _planar_transforms(turns) @ back
-        T_image_scan = _planar_transforms(invert_pose(self.moved(mount)))
+        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ transform_from_planar(turns) @ back
+        T_image_scan = transform_from_planar(invert_pose(self.moved(mount)))
         T_camera_lidar = self._T_camera_rig @ T_rig_lidar[:, np.newaxis] @ T_image_scan
         tallies = self._tallies(T_camera_lidar, self.frame_of_point, self.frames)
         costs: FloatArray = tallies[:, :, 0].sum(axis=1)
@@ -273,16 +272,6 @@ def turn_points(vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:
 def points_at_image(points_m: FloatArray, moved: FloatArray) -> FloatArray:
     """(N, 2) points in the LiDAR's frame at the image, to which it ``moved`` (N, 3)."""
     return turn_points(points_m - moved[:, :2], -moved[:, 2])
-
-
-def _planar_transforms(poses: FloatArray) -> FloatArray:
-    """(F, 4, 4) of planar poses (F, 3)."""
-    transforms = np.tile(np.eye(4), (poses.shape[0], 1, 1))
-    transforms[:, 0, 0] = transforms[:, 1, 1] = np.cos(poses[:, 2])
-    transforms[:, 1, 0] = np.sin(poses[:, 2])
-    transforms[:, 0, 1] = -transforms[:, 1, 0]
-    transforms[:, :2, 3] = poses[:, :2]
-    return transforms
 
 
 @compiled()

@@ -19,7 +19,7 @@ from fusion_core.alignment.mount_cost import MountCost, points_at_image, turn_po
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Mount
-from fusion_core.model.robust import MAD_TO_SIGMA, robust_sigma
+from fusion_core.model.robust import MAD_TO_SIGMA, WELSCH_SD, robust_sigma
 
 IN_PLANE = np.array([0, 2, 3, 5])
 """Of MOUNT_PARAMETERS: yaw, forward, left, clock offset. The depths' stretch follows them."""
@@ -35,8 +35,6 @@ _NEIGHBOUR_TOLERANCES = 5.0
 _LINE_TOLERANCES = 0.6
 # Below this cosine between ray and normal a pixel is as wide as the noise on the surface.
 _LEAST_COSINE = 0.2
-# Welsch's weight function has 95 % efficiency at this many standard deviations.
-_WELSCH_SD = 2.985
 # Residuals that are all but zero have no scale: it is no smaller, in tolerances.
 _LEAST_NOISE = MAD_TO_SIGMA * 1e-6
 # The start is off by more than the noise: its scale is taken wider at first.
@@ -214,7 +212,7 @@ def refine_in_plane(
 def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, FloatArray]:
     """(N, 5) scores and (N,) weights of Welsch's loss."""
     z = residuals.values / noise
-    weight: FloatArray = np.exp(-((z / _WELSCH_SD) ** 2)) / noise**2
+    weight: FloatArray = np.exp(-((z / WELSCH_SD) ** 2)) / noise**2
     return -(weight * residuals.values)[:, None] * residuals.jacobian, weight
 
 

@@ -25,7 +25,7 @@ from fusion_core.compiled import compiled
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import NS_PER_S, FloatArray, read_only
 from fusion_core.model.planar_poses import pose_after, velocity_between
-from fusion_core.model.robust import MAD_TO_SIGMA
+from fusion_core.model.robust import MAD_TO_SIGMA, WELSCH_SD
 from fusion_core.model.sensors import LaserScan
 
 # A range difference beyond this is between two surfaces and does not measure the motion; set by
@@ -38,8 +38,6 @@ _LEAST_NEIGHBOURS = 4
 _SHIFT_SD_BEAMS = 4.0
 # Of fewer beams no motion is concluded.
 _LEAST_BEAMS = 20
-# Welsch's weight function has 95 % efficiency at this many standard deviations.
-_WELSCH_SD = 2.985
 # The scan is shifted by what was found, and the flow of the rest found again.
 _PASSES = 2
 _MAX_ITERATIONS = 10
@@ -92,21 +90,10 @@ def estimate_motion(window: ScanWindow, settings: TimeSettings) -> ScanMotion | 
     )
 
 
-class _Same:
-    """A scan as a key: itself, not one of the same values."""
-
-    def __init__(self, scan: LaserScan) -> None:
-        self._scan = scan
-
-    def __hash__(self) -> int:
-        return id(self._scan)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other._scan is self._scan
-
-
 # The images around two scans all ask for the motion between them.
-_recent: BoundedCache[tuple[_Same, _Same, TimeSettings], ScanMotion | None] = BoundedCache(8)
+_recent: BoundedCache[tuple[LaserScan, LaserScan, TimeSettings], ScanMotion | None] = BoundedCache(
+    8
+)
 
 
 def motion_between(
@@ -115,7 +102,7 @@ def motion_between(
     """The motion from one scan to the next; None where they are of other beams, a second or more
     apart, or overlap too little."""
     return _recent.get_or_compute(
-        (_Same(first), _Same(second), settings), lambda: _lay_over(first, second, settings)
+        (first, second, settings), lambda: _lay_over(first, second, settings)
     )
 
 
@@ -171,7 +158,8 @@ def _fit_range_flow(
     """
     moved = np.array([0.0, 0.0, shift * step_rad])
     centre = moved.copy()
-    information = np.diag(1.0 / prior_sd**2)
+    prior = np.diag(1.0 / prior_sd**2)
+    information = prior
     for _ in range(_PASSES):
         # Whole beams: what is interpolated between two would share their noise.
         whole = int(np.rint(moved[2] / step_rad))
@@ -182,10 +170,10 @@ def _fit_range_flow(
         for _ in range(_MAX_ITERATIONS):
             off = flows_m - rows @ (moved - shifted_by)
             noise = max(MAD_TO_SIGMA * np.median(np.abs(off)), _LEAST_NOISE_M)
-            information = np.diag(1.0 / prior_sd**2)
-            gradient = information @ (centre - moved)
+            information = prior.copy()
+            gradient = prior @ (centre - moved)
             for n in range(off.size):
-                weight = np.exp(-((off[n] / (_WELSCH_SD * noise)) ** 2)) / noise**2
+                weight = np.exp(-((off[n] / (WELSCH_SD * noise)) ** 2)) / noise**2
                 for i in range(3):
                     gradient[i] += weight * rows[n, i] * off[n]
                     for j in range(3):

@@ -90,7 +90,11 @@ def planar_from_transform(T_a_b: FloatArray) -> FloatArray:
 
 
 def transform_from_planar(pose: FloatArray) -> FloatArray:
-    """(4, 4) of (x, y, yaw)."""
-    return make_transform(
-        rotation_from_yaw_pitch_roll(float(pose[2]), 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
-    )
+    """(..., 4, 4) of (..., 3) x, y, yaw."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    transform = np.zeros((*pose.shape[:-1], 4, 4))
+    transform[..., 0, 0] = transform[..., 1, 1] = c
+    transform[..., 1, 0], transform[..., 0, 1] = s, -s
+    transform[..., 2, 2] = transform[..., 3, 3] = 1.0
+    transform[..., :2, 3] = pose[..., :2]
+    return transform

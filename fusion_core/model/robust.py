@@ -1,4 +1,4 @@
-"""Robust scale: the standard deviation of a normal distribution from a median."""
+"""Robust scale: the standard deviation of a normal distribution from a median; Welsch's weights."""
 
 import numpy as np
 
@@ -9,6 +9,9 @@ MAD_TO_SIGMA = 1.4826
 
 NORMAL_MEDIAN_ABS = 0.6745
 """Median absolute deviation of a unit normal distribution, Φ⁻¹(3/4)."""
+
+WELSCH_SD = 2.985
+"""Where the weight is 1 / e in standard deviations: Welsch's weights then have 95 % efficiency."""
 
 
 def robust_sigma(residuals: FloatArray) -> float:

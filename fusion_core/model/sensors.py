@@ -24,7 +24,7 @@ _MAX_CENTRE_PX = 1e6
 _MAX_DISTORTION = 1e9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserScan:
     """One sweep of a 2D LiDAR, in its own frame (x forward, angles counter-clockwise).
 

@@ -40,10 +40,7 @@ class Trajectory:
     @classmethod
     def from_planar(cls, stamps_ns: IntArray, poses: FloatArray) -> "Trajectory":
         """From (N, 3) poses x, y, yaw in metres and radians."""
-        return cls(
-            stamps_ns=stamps_ns,
-            T_map_body=np.array([transform_from_planar(pose) for pose in poses]).reshape(-1, 4, 4),
-        )
+        return cls(stamps_ns=stamps_ns, T_map_body=transform_from_planar(poses.reshape(-1, 3)))
 
     @property
     def planar_poses(self) -> FloatArray:

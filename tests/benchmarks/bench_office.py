@@ -43,7 +43,6 @@ from fusion_core.evaluation.map_outlines import TOLERANCE_M
 from fusion_core.evaluation.trajectories import MAX_GAP_S, associate, evaluate_trajectory
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.geometry import transform_from_planar
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.ros_map import read_ros_map
@@ -167,8 +166,7 @@ def record(recording: Path, seed: int, *, quick: bool) -> None:
 def true_trajectory(recording: Path) -> Trajectory:
     """Where the LiDAR was at each scan."""
     truth = np.load(truth_path(recording))
-    poses = np.stack([transform_from_planar(pose) for pose in truth["pose"]])
-    return Trajectory(stamps_ns=truth["scan_stamp"], T_map_body=poses)
+    return Trajectory.from_planar(truth["scan_stamp"], truth["pose"])
 
 
 def trajectory_errors_m(folder: Path, recording: Path) -> FloatArray:

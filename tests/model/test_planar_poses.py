@@ -5,7 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from fusion_core.model.geometry import planar_from_transform, transform_from_planar
+from fusion_core.model.geometry import (
+    make_transform,
+    planar_from_transform,
+    rotation_from_yaw_pitch_roll,
+    transform_from_planar,
+)
 from fusion_core.model.planar_poses import (
     compose_poses,
     invert_pose,
@@ -29,6 +34,14 @@ def assert_same(found, expected):
 def test_they_compose_as_transforms_do(a, b):
     T = transform_from_planar(a) @ transform_from_planar(b)
     assert_same(compose_poses(a, b), planar_from_transform(T))
+
+
+def test_many_transforms_are_turns_about_the_vertical_and_moves():
+    many = np.random.default_rng(2).normal(0.0, 2.0, (4, 5, 3))
+    found = transform_from_planar(many)
+    for pose, T in zip(many.reshape(-1, 3), found.reshape(-1, 4, 4), strict=True):
+        rotation = rotation_from_yaw_pitch_roll(pose[2], 0.0, 0.0)
+        np.testing.assert_array_equal(T, make_transform(rotation, np.append(pose[:2], 0.0)))
 
 
 @given(poses)

@@ -31,10 +31,9 @@ from fusion_core.calibration.planar.planar_residuals import (
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import CalibrationFailed
+from fusion_core.model.robust import WELSCH_SD
 from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
 
-# Welsch's weight function has 95 % efficiency at this many standard deviations.
-_WELSCH_SD = 2.985
 # The start is off by more than the noise: its scale is taken wider at first.
 _ANNEALING = (4.0, 3.0, 2.5, 2.0, 1.5)
 _NOISE_ITERATIONS = 3
@@ -179,7 +178,7 @@ class PlanarProblem:
         if not np.isfinite(state.floor_m):
             state.floor_m = fit.floor_m
         found = surface_residuals(self._flat, state, kept, self._size)
-        z = found.value / fit.noise.at(found.depth_m, found.is_floor) / _WELSCH_SD
+        z = found.value / fit.noise.at(found.depth_m, found.is_floor) / WELSCH_SD
         loss = 1.0 - np.exp(-(z**2))
         near = (loss < 1.0 - _AGREEING) & ~found.is_floor
         return PoseCost(
@@ -236,7 +235,7 @@ class PlanarProblem:
     ) -> tuple[FloatArray, FloatArray]:
         gradient, information = self._prior(state, T_start, priors)
         sigma = noise.at(found.depth_m, found.is_floor) * factor
-        weight = np.exp(-((found.value / sigma / _WELSCH_SD) ** 2)) / sigma**2
+        weight = np.exp(-((found.value / sigma / WELSCH_SD) ** 2)) / sigma**2
         J = found.jacobian
         information = information + J.T @ (J * weight[:, None])
         gradient = gradient - J.T @ (weight * found.value)
@@ -264,7 +263,7 @@ class PlanarProblem:
     ) -> PlanarFit:
         sigma = noise.at(found.depth_m, found.is_floor)
         z = found.value / sigma
-        welsch = np.exp(-((z / _WELSCH_SD) ** 2))
+        welsch = np.exp(-((z / WELSCH_SD) ** 2))
         counts = welsch > _AGREEING
         walls = counts & ~found.is_floor
         covariance = None
