@@ -7,6 +7,7 @@ import numpy as np
 from fusion_core.alignment.scan_motion import motion_between
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
+from fusion_core.model.moved_scan import move_scan
 from fusion_core.model.sensors import LaserScan
 
 
@@ -25,13 +26,13 @@ def scan_at_image(window: ScanWindow, gap_ns: int, settings: TimeSettings) -> La
 def interpolate_scan(window: ScanWindow, gap_ns: int, settings: TimeSettings) -> LaserScan | None:
     """The scan that the LiDAR would have taken ``gap_ns`` after ``window.scan``.
 
-    That scan and its neighbour on the other side of the instant are both turned to it by the rate
+    That scan and its neighbour on the other side of the instant are both moved to it by the motion
     measured between them. A beam's range is their mean by time where they are of one surface, else
     that of the paired scan: at edges and on moving things nothing is mixed. A range that one scan
     lacks is the other's; where both lack it, it is NaN.
 
     None at the scan's own stamp, without that neighbour or with one too far away, and where the
-    rate between the two is not known.
+    motion between the two is not known.
     """
     scan, other = window.scan, window.after if gap_ns > 0 else window.before
     if gap_ns == 0 or other is None:
@@ -46,30 +47,17 @@ def interpolate_scan(window: ScanWindow, gap_ns: int, settings: TimeSettings) ->
         return None
     stamp_ns = scan.stamp_ns + gap_ns
     own_m, other_m = (
-        _turned_ranges_m(
+        move_scan(
             source,
-            motion.turn_rate_rad_s * (stamp_ns - source.stamp_ns) / NS_PER_S,
+            motion.pose_after((stamp_ns - source.stamp_ns) / NS_PER_S),
             settings.same_surface_m,
-        )
+        ).ranges_m
         for source in (scan, other)
     )
     fraction = abs(gap_ns) / interval_ns
     ranges_m = _mix_m(own_m, other_m, fraction, settings.same_surface_m)
     ranges_m = np.where(np.isnan(own_m), other_m, ranges_m)
     return replace(scan, stamp_ns=stamp_ns, ranges_m=ranges_m, intensities=None)
-
-
-def _turned_ranges_m(scan: LaserScan, turned_rad: float, same_surface_m: float) -> FloatArray:
-    """(N,) what the beams would have met, had the LiDAR turned left by ``turned_rad`` before."""
-    count = scan.ranges_m.size
-    place = np.arange(count) + turned_rad / scan.angle_increment_rad
-    right = np.floor(place).astype(np.int64)
-    right_m, left_m = scan.ranges_at(right), scan.ranges_at(right + 1)
-    fraction = place - right
-    nearest_is_right = fraction < 0.5
-    nearest_m = np.where(nearest_is_right, right_m, left_m)
-    farther_m = np.where(nearest_is_right, left_m, right_m)
-    return _mix_m(nearest_m, farther_m, np.minimum(fraction, 1.0 - fraction), same_surface_m)
 
 
 def _mix_m(

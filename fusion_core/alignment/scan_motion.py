@@ -24,7 +24,8 @@ from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.compiled import compiled
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import NS_PER_S, FloatArray, read_only
-from fusion_core.model.planar_poses import pose_after, velocity_between
+from fusion_core.model.moved_scan import MovedScan, move_scan
+from fusion_core.model.planar_poses import invert_pose, pose_after, velocity_between
 from fusion_core.model.robust import MAD_TO_SIGMA, WELSCH_SD
 from fusion_core.model.sensors import LaserScan
 
@@ -106,13 +107,20 @@ def motion_between(
     )
 
 
+def neighbour_seen_from(
+    scan: LaserScan, neighbour: LaserScan | None, motion: ScanMotion | None, settings: TimeSettings
+) -> MovedScan | None:
+    """A neighbour in time as seen from where ``scan`` was taken; None where there is none, it is of
+    other beams, or the ``motion`` around ``scan`` is not known."""
+    if neighbour is None or motion is None or not _have_same_beams(scan, neighbour):
+        return None
+    pose_scan_neighbour = motion.pose_after((neighbour.stamp_ns - scan.stamp_ns) / NS_PER_S)
+    return move_scan(neighbour, invert_pose(pose_scan_neighbour), settings.same_surface_m)
+
+
 def _lay_over(first: LaserScan, second: LaserScan, settings: TimeSettings) -> ScanMotion | None:
     seconds = (second.stamp_ns - first.stamp_ns) / NS_PER_S
-    comparable = (
-        first.ranges_m.size == second.ranges_m.size
-        and first.angle_increment_rad == second.angle_increment_rad
-    )
-    if not comparable or not 0.0 < seconds < 1.0:
+    if not _have_same_beams(first, second) or not 0.0 < seconds < 1.0:
         return None
     step_rad = first.angle_increment_rad
     reach = int(np.ceil(settings.max_turn_rate_rad_s * seconds / abs(step_rad)))
@@ -137,6 +145,13 @@ def _lay_over(first: LaserScan, second: LaserScan, settings: TimeSettings) -> Sc
         return None
     return ScanMotion(
         velocity=velocity_between(moved, seconds), turn_rate_sd_rad_s=turn_sd_rad / seconds
+    )
+
+
+def _have_same_beams(first: LaserScan, second: LaserScan) -> bool:
+    return (
+        first.ranges_m.size == second.ranges_m.size
+        and first.angle_increment_rad == second.angle_increment_rad
     )
 
 

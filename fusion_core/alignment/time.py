@@ -34,8 +34,9 @@ class TimeSettings(StageSettings):
     )
     same_surface_m: float = setting(
         0.15,
-        "Interpolation mixes two ranges that differ by no more; where they do, one is taken, that "
-        "of the scan nearest in time",
+        "Ranges of neighbouring beams that differ by no more are of one surface, which lies "
+        "between them when the scan is seen from another place; of two scans, interpolation mixes "
+        "such ranges, and takes the one nearest in time of others",
         unit="m",
         ge=1e-6,
         le=10.0,

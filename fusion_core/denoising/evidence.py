@@ -38,10 +38,9 @@ _SMEAR_SIGMA = 6.0
 _BEAMS_MIXED = 2
 # A neighbour is the nearest beam with a value, at most so many beams away.
 _BEAMS_BESIDE = 3
-# The turn between scans is known to half a beam; an edge of a near thing moves by more.
-_BEAMS_TURNED = 2
-# A robot at 0.5 m/s comes this much nearer between two scans at 10 Hz.
-_APPROACH_M = 0.05
+# The motion between scans is known to a fraction of a beam and a return's place to half of one, and
+# a mixed pixel covers two.
+_BEAMS_IN_TIME = 2
 # Seen by the camera, a surface that changes its range faster from beam to beam is an edge: 80
 # degrees off the beam at a quarter of a degree a beam.
 _EDGE_SLOPE = 0.03
@@ -84,7 +83,6 @@ def ranges_around(
 def weigh_beams(
     ranges: FloatArray,
     in_time: FloatArray,
-    shifts: IntArray,
     beams: IntArray,
     camera: FloatArray,
     seen: FloatArray,
@@ -93,13 +91,13 @@ def weigh_beams(
 ) -> FloatArray:
     """(B, 5) evidence of each witness that the values of B ``beams`` are those of surfaces.
 
-    ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, in which what
-    beam b meets is met by b + ``shifts``. ``camera``: (B,) range at which the camera sees what a
-    beam meets. ``seen``: (B, K) what it sees about the beams' pixels. ``hidden``: (B,) whether
-    something may hide from it what the beam meets. Metres, NaN where missing. ``noise``: floor (m)
-    and fraction of the standard deviation hypot(floor, fraction * range), and the change of range
-    from beam to beam, as a fraction of it, that a slanted surface may cause. 0 where a witness has
-    no value, and for beams without one.
+    ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, as seen from
+    its place. ``camera``: (B,) range at which the camera sees what a beam meets. ``seen``: (B, K)
+    what it sees about the beams' pixels. ``hidden``: (B,) whether something may hide from it what
+    the beam meets. Metres, NaN where missing. ``noise``: floor (m) and fraction of the standard
+    deviation hypot(floor, fraction * range), and the change of range from beam to beam, as a
+    fraction of it, that a slanted surface may cause. 0 where a witness has no value, and for beams
+    without one.
     """
     floor_m, fraction, slope = noise
     farthest = 0.0
@@ -121,10 +119,10 @@ def weigh_beams(
                 evidence[index, side] = _log_ratio(_SAME_SURFACE, density, burr)
             total = 0.0
             count = 0
-            for step in range(-_BEAMS_TURNED, _BEAMS_TURNED + 1):
-                other = beam + shifts[side] + step
+            for step in range(-_BEAMS_IN_TIME, _BEAMS_IN_TIME + 1):
+                other = beam + step
                 if 0 <= other < ranges.size and not np.isnan(in_time[side, other]):
-                    total += _normal(own - in_time[side, other], 2.0 * variance + _APPROACH_M**2)
+                    total += _normal(own - in_time[side, other], 2.0 * variance)
                     count += 1
             if count > 0:
                 evidence[index, 2 + side] = _log_ratio(_SAME_IN_TIME, total / count, burr)

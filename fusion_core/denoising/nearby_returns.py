@@ -16,7 +16,7 @@ from fusion_core.compiled import compiled
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
-# The turn between scans is known to half a beam, and a mixed pixel covers two.
+# The motion between scans is known to a fraction of a beam, and a mixed pixel covers two.
 _BEAMS_BESIDE = 1
 # As far as beams support each other when they are classified.
 _BEAMS_ABOUT = 3
@@ -27,7 +27,7 @@ class NearbyReturns:
     """Ranges (m) about the directions of B beams, NaN where nothing returned.
 
     ``beside_m``: (B, 2), the adjacent beams of the scan. ``in_time_m``: (B, 2, 3), the beam and
-    those adjacent to it in the scans before and after, which are turned to the scan's heading.
+    those adjacent to it in the scans before and after, as seen from the scan's place.
     ``looked``: (B,) how many of those six beams there are, with a return or without.
     ``returned_fraction``: (B,) of the beams up to three away in the scans before and after, those
     with any return: few on glass, whatever they return from behind it.
@@ -80,10 +80,7 @@ class NearbyReturns:
 
 def nearby_returns(window: FrameWindow) -> NearbyReturns:
     """Collect the returns about every beam of the window's scan."""
-    ranges_m, exists = scans_about(window)
-    beside_m, in_time_m, looked, looked_about, returned = _collect_returns(
-        ranges_m, exists, np.array([window.shift_before, 0, window.shift_after])
-    )
+    beside_m, in_time_m, looked, looked_about, returned = _collect_returns(*scans_about(window))
     return NearbyReturns(
         beside_m=beside_m,
         in_time_m=in_time_m,
@@ -93,22 +90,23 @@ def nearby_returns(window: FrameWindow) -> NearbyReturns:
 
 
 def scans_about(window: FrameWindow) -> tuple[FloatArray, BoolArray]:
-    """(3, N) ranges of the scan before, the scan and the one after, and which of them there are:
-    those of as many beams."""
+    """(3, N) ranges of the scan before, the scan and the one after, and whether a beam looked
+    there."""
     count = window.scan.ranges_m.size
-    ranges_m, exists = np.full((3, count), np.nan), np.zeros(3, dtype=np.bool_)
-    for place, scan in enumerate((window.scan_before, window.scan, window.scan_after)):
-        if scan is not None and scan.ranges_m.size == count:
-            ranges_m[place], exists[place] = scan.ranges_m, True
-    return ranges_m, exists
+    ranges_m, looked = np.full((3, count), np.nan), np.zeros((3, count), dtype=np.bool_)
+    ranges_m[1], looked[1] = window.scan.ranges_m, True
+    for place, scan in ((0, window.scan_before), (2, window.scan_after)):
+        if scan is not None:
+            ranges_m[place], looked[place] = scan.ranges_m, scan.looked
+    return ranges_m, looked
 
 
 @compiled()
 def _collect_returns(
-    ranges_m: FloatArray, exists: BoolArray, shifts: IntArray
+    ranges_m: FloatArray, looks: BoolArray
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
     """(N, 2) beside, (N, 2, 3) in time, and (N,) how many beams looked, how many of those up to
-    three away, and how many of these returned. ``ranges_m``: (3, N)."""
+    three away, and how many of these returned. ``ranges_m``, ``looks``: (3, N)."""
     count = ranges_m.shape[1]
     beside_m, in_time_m = np.full((count, 2), np.nan), np.full((count, 2, 3), np.nan)
     looked = np.zeros(count, dtype=np.int64)
@@ -120,11 +118,9 @@ def _collect_returns(
             beside_m[beam, 1] = ranges_m[1, beam + 1]
         for side in range(2):
             place = 2 * side
-            if not exists[place]:
-                continue
             for step in range(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1):
-                other = beam + shifts[place] + step
-                if not 0 <= other < count:
+                other = beam + step
+                if not 0 <= other < count or not looks[place, other]:
                     continue
                 looked_about[beam] += 1
                 returned[beam] += np.isfinite(ranges_m[place, other])

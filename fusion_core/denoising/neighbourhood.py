@@ -9,7 +9,6 @@ from fusion_core.denoising.evidence import ranges_around, weigh_beams
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.support import (
-    APPROACH_M,
     count_beam_support,
     count_pixel_support,
     find_measured_pixels,
@@ -21,18 +20,21 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
+from fusion_core.model.moved_scan import MovedScan
 from fusion_core.model.sensors import LaserScan
 
 # Least fraction of valid depths around a pixel in the image before, to reject it; set by hand.
 _MIN_SEEN_BEFORE = 0.8
+# A robot at 0.5 m/s comes this much nearer between two images at 10 Hz.
+_APPROACH_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameWindow:
     """What classes need: the pair, and each sensor's own neighbourhood.
 
-    ``scan_before``, ``scan_after``: neighbours in time, or None. What beam b of the scan hits is
-    hit by their beam b + ``shift_before`` or b + ``shift_after``. ``depth_m``: (H, W) upright view.
+    ``scan_before``, ``scan_after``: its neighbours in time as seen from its own place, or None
+    where there is none or the motion is not known. ``depth_m``: (H, W) upright view.
     ``depth_before_m``: that of the image before, or None; a surface lies ``columns_before`` columns
     farther to the right in it.
     """
@@ -40,10 +42,8 @@ class FrameWindow:
     pairs: Correspondence
     scan: LaserScan
     depth_m: Float32Array
-    scan_before: LaserScan | None = None
-    scan_after: LaserScan | None = None
-    shift_before: int = 0
-    shift_after: int = 0
+    scan_before: MovedScan | None = None
+    scan_after: MovedScan | None = None
     depth_before_m: Float32Array | None = None
     columns_before: float = 0.0
 
@@ -75,7 +75,7 @@ def weigh_neighbours(
     """Weigh what surrounds the pairs. ``sigma_m``: (B,) of their residuals where nothing is
     wrong."""
     pairs, ranges_m = window.pairs, window.scan.ranges_m
-    in_time, shifts = _scans_in_time(window)
+    in_time = _scans_in_time(window)
     seen_m = ranges_around(window.depth_m, pairs.row, pairs.column, pairs.depth_as_range_m)
     # Along the curve, the camera looks at what a beam has met, unless it sees something nearer and
     # the beam goes on out of its sight. In a row it looks elsewhere.
@@ -84,7 +84,6 @@ def weigh_neighbours(
     evidence: FloatArray = weigh_beams(
         ranges_m,
         in_time,
-        shifts,
         pairs.beam,
         pairs.camera_range_m,
         seen_m,
@@ -98,7 +97,7 @@ def weigh_neighbours(
         np.abs(seen_m - pairs.lidar_range_m[:, np.newaxis]) <= tolerance_m[:, np.newaxis], axis=1
     )
     measured: BoolArray = find_measured_pixels(
-        pairs.depth_as_range_m, tolerance_m, pairs.beam, ranges_m, in_time, shifts
+        pairs.depth_as_range_m, tolerance_m, pairs.beam, ranges_m, in_time
     )
     by_lidar = evidence[:, :4].sum(axis=1) - against
     return Neighbourhood(
@@ -112,18 +111,13 @@ def weigh_neighbours(
     )
 
 
-def _scans_in_time(window: FrameWindow) -> tuple[FloatArray, IntArray]:
-    """(2, N) ranges of the scans before and after, NaN where there is none, and their shifts."""
-    nothing = np.full(window.scan.ranges_m.size, np.nan)
-
-    def in_time(scan: LaserScan | None) -> FloatArray:
-        same = scan is not None and scan.ranges_m.size == nothing.size
-        return scan.ranges_m if scan is not None and same else nothing
-
-    return (
-        np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
-        np.array([window.shift_before, window.shift_after]),
-    )
+def _scans_in_time(window: FrameWindow) -> FloatArray:
+    """(2, N) ranges of the scans before and after, NaN where there is none."""
+    in_time = np.full((2, window.scan.ranges_m.size), np.nan)
+    for place, scan in enumerate((window.scan_before, window.scan_after)):
+        if scan is not None:
+            in_time[place] = scan.ranges_m
+    return in_time
 
 
 def find_unconfirmed_pixels(
@@ -147,7 +141,7 @@ def find_unconfirmed_pixels(
         around = before[row - reach : row + reach + 1, column - reach : column + reach + 1]
         own = window.pairs.depth_m[index]
         valid = np.isfinite(around)
-        near = np.abs(around - own) <= APPROACH_M + settings.pixel_tolerance_fraction * own
+        near = np.abs(around - own) <= _APPROACH_M + settings.pixel_tolerance_fraction * own
         gone[index] = valid.mean() > _MIN_SEEN_BEFORE and not near.any()
     return gone
 
@@ -157,11 +151,9 @@ def support_of_beams(
 ) -> tuple[IntArray, IntArray]:
     """(B, 3) supporters among adjacent beams, beams two and three away, and the scans before and
     after; (B, 2) how many neighbours in the scan and in time had a value at all."""
-    in_time, shifts = _scans_in_time(window)
     counted: tuple[IntArray, IntArray] = count_beam_support(
         window.scan.ranges_m,
-        in_time,
-        shifts,
+        _scans_in_time(window),
         window.pairs.beam,
         window.pairs.camera_range_m,
         settings.support_sigma * scale.floor_m,

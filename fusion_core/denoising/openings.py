@@ -15,8 +15,8 @@ from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.surfaces import interpolate_gaps
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
-# The outermost beams of an opening may have met what is beside it: the turn between scans is known
-# to half a beam, and a mixed pixel covers two.
+# The outermost beams of an opening may have met what is beside it: the motion between scans is
+# known to a fraction of a beam, and a mixed pixel covers two.
 _BEAMS_OF_SIDE = 2
 
 
@@ -102,9 +102,7 @@ def returns_in_openings(
 
     ``across_m``, ``tolerance_m``: (N,), as in Openings.
     """
-    ranges_m, exists = scans_about(window)
-    shifts = np.array([window.shift_before, 0, window.shift_after])
-    of_beam = _returns_of_beams(ranges_m, exists, shifts, across_m, tolerance_m)
+    of_beam = _returns_of_beams(*scans_about(window), across_m, tolerance_m)
     # One more beam at the front, so that a difference of two sums is the number between them.
     upto = np.zeros((3, across_m.size + 1, 3), dtype=np.int64)
     np.cumsum(of_beam, axis=1, out=upto[:, 1:])
@@ -118,13 +116,12 @@ def returns_in_openings(
 @compiled()
 def _returns_of_beams(
     ranges_m: FloatArray,
-    exists: BoolArray,
-    shifts: IntArray,
+    looks: BoolArray,
     across_m: FloatArray,
     tolerance_m: FloatArray,
 ) -> IntArray:
     """(3, N, 3) what each beam adds to the counts of ReturnsInOpening, 0 or 1: whether it looked,
-    returned and did so from the line. ``ranges_m``: (3, N), of the scans that there are."""
+    returned and did so from the line. ``ranges_m``, ``looks``: (3, N)."""
     count = across_m.size
     of_beam = np.zeros((3, count, 3), dtype=np.int64)
     for beam in range(count):
@@ -134,10 +131,9 @@ def _returns_of_beams(
         if not within:
             continue
         for place in range(3):
-            other = beam + shifts[place]
-            if not exists[place] or not 0 <= other < count:
+            if not looks[place, beam]:
                 continue
-            range_m = ranges_m[place, other]
+            range_m = ranges_m[place, beam]
             of_beam[0, beam, place] = 1
             of_beam[1, beam, place] = np.isfinite(range_m)
             of_beam[2, beam, place] = abs(range_m - across_m[beam]) <= tolerance_m[beam]

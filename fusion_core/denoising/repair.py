@@ -25,7 +25,6 @@ from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.openings import find_openings, returns_in_openings
 from fusion_core.denoising.overruling import is_rejected
-from fusion_core.denoising.support import APPROACH_M
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource, is_one_of
 from fusion_core.model.conventions import (
@@ -230,7 +229,7 @@ def _known_free_before(
     nearby = every_beam.about(window.pairs.beam)
 
     def tolerance_m(value_m: FloatArray) -> FloatArray:
-        return APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
+        return _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
 
     def confirmed(value_m: FloatArray, least: float) -> BoolArray:
         enough = nearby.returned_fraction >= least

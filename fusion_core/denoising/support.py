@@ -9,9 +9,6 @@ from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, I
 # degrees off the beam at a quarter of a degree a beam.
 _EDGE_SLOPE = 0.03
 
-APPROACH_M = 0.05
-"""A robot at 0.5 m/s comes this much nearer between two scans or images at 10 Hz."""
-
 # Set by hand: a depth camera's noise at close range, with a margin.
 _PIXEL_FLOOR_M = 0.03
 
@@ -30,7 +27,6 @@ def spread_over_scan(values: FloatArray, beams: IntArray, count: int) -> FloatAr
 def count_beam_support(
     ranges: FloatArray,
     in_time: FloatArray,
-    shifts: IntArray,
     beams: IntArray,
     camera: FloatArray,
     floor_m: float,
@@ -40,11 +36,10 @@ def count_beam_support(
     """(B, 3) supporters of each of B ``beams`` among adjacent beams, beams two and three away, and
     the scans before and after; (B, 2) how many neighbours in the scan and in time had a value.
 
-    ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, in which what
-    beam b meets is met by b + ``shifts``. ``camera``: (B,) range at which the camera sees what a
-    beam meets. Metres, NaN where missing. Values differ by at most the tolerance
-    hypot(``floor_m``, ``fraction`` * range), plus ``slope`` * range a beam where the camera sees
-    nothing.
+    ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, as seen from
+    its place. ``camera``: (B,) range at which the camera sees what a beam meets. Metres, NaN where
+    missing. Values differ by at most the tolerance hypot(``floor_m``, ``fraction`` * range), plus
+    ``slope`` * range a beam where the camera sees nothing.
     """
     support = np.zeros((beams.size, 3), dtype=np.int64)
     neighbours = np.zeros((beams.size, 2), dtype=np.int64)
@@ -72,16 +67,14 @@ def count_beam_support(
             if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
         for neighbour in range(2):
-            scan, shift = in_time[neighbour], shifts[neighbour]
-            # The robot moves between scans: the surface may have come nearer by a little.
-            allowed = tolerance + APPROACH_M
+            scan = in_time[neighbour]
             seen = False
             met = False
             for step in (-1, 0, 1):
-                other = beam + shift + step
+                other = beam + step
                 if 0 <= other < count and not np.isnan(scan[other]):
                     seen = True
-                    met = met or abs(scan[other] - own) <= allowed
+                    met = met or abs(scan[other] - own) <= tolerance
             neighbours[index, 1] += seen
             support[index, 2] += met
     return support, neighbours
@@ -94,13 +87,12 @@ def find_measured_pixels(
     beams: IntArray,
     ranges: FloatArray,
     in_time: FloatArray,
-    shifts: IntArray,
 ) -> BoolArray:
     """(B,) pixels whose surface a beam near B ``beams``, other than their own, has measured too.
 
     ``as_range``: (B,) the pixels' depths as ranges; beams of the scan up to three away, and of the
     scans before and after those adjacent to the same direction, agree within ``tolerance`` (B,).
-    ``ranges``, ``in_time``, ``shifts``: as for ``count_beam_support``.
+    ``ranges``, ``in_time``: as for ``count_beam_support``.
     """
     measured = np.zeros(beams.size, dtype=np.bool_)
     for index in range(beams.size):
@@ -110,7 +102,6 @@ def find_measured_pixels(
                 off = abs(ranges[other] - as_range[index])
                 measured[index] |= off <= tolerance[index]
             for side in range(2):
-                other = beams[index] + shifts[side] + step
                 if abs(step) <= 1 and 0 <= other < ranges.size:
                     off = abs(in_time[side, other] - as_range[index])
                     measured[index] |= off <= tolerance[index]

@@ -9,7 +9,6 @@ from fusion_core.model.conventions import (
     ByteArray,
     Float32Array,
     FloatArray,
-    IntArray,
     RingArray,
     read_only,
 )
@@ -63,15 +62,6 @@ class LaserScan:
     def is_full_circle(self) -> bool:
         """Whether the last beam is next to the first one."""
         return is_full_circle(self.ranges_m.size, self.angle_increment_rad)
-
-    def ranges_at(self, beams: IntArray) -> FloatArray:
-        """Ranges of any numbers of beams, which go on around a full circle; NaN where there is no
-        such beam."""
-        count = self.ranges_m.size
-        ranges_m = self.ranges_m[np.mod(beams, count)]
-        if self.is_full_circle:
-            return ranges_m
-        return np.where((beams >= 0) & (beams < count), ranges_m, np.nan)
 
     def beam_behind(self, azimuth_rad: float) -> int:
         """The beam of a full circle that looks away from an azimuth; 0 where the scan has ends."""

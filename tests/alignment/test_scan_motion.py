@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_core.alignment.scan_motion import estimate_motion, motion_between
+from fusion_core.alignment.scan_motion import (
+    estimate_motion,
+    motion_between,
+    neighbour_seen_from,
+)
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.planar_poses import compose_poses, pose_after
@@ -41,6 +45,34 @@ def test_the_motion_is_that_of_the_lidar(
     velocity = (*drive_m_s, turn_rad_s)
     found = estimate_motion(driving(velocity, increment_deg=increment_deg, beams=beams), SETTINGS)
     np.testing.assert_allclose(found.velocity, velocity, atol=0.01)
+
+
+@pytest.mark.parametrize("which", ["before", "after"])
+def test_a_neighbour_in_time_is_seen_from_the_place_of_the_scan(which: str) -> None:
+    """Of a LiDAR that turns and drives: its neighbours show what it sees itself."""
+    window = driving((0.8, 0.1, 0.5))
+    motion = estimate_motion(window, SETTINGS)
+    seen = neighbour_seen_from(window.scan, getattr(window, which), motion, SETTINGS)
+    off_m = np.abs(seen.ranges_m - window.scan.ranges_m)[seen.looked]
+    assert seen.looked.mean() > 0.95
+    assert np.mean(off_m < 0.005) > 0.95
+    standing_m = np.abs(getattr(window, which).ranges_m - window.scan.ranges_m)
+    assert np.mean(standing_m < 0.005) < 0.1
+
+
+def test_a_neighbour_whose_motion_is_not_known_tells_nothing() -> None:
+    window = driving((0.8, 0.1, 0.5))
+    motion = estimate_motion(window, SETTINGS)
+    fewer = window.before.with_ranges(window.before.ranges_m[:-1], None)
+    wider = replace(window.before, angle_increment_rad=1.01 * window.before.angle_increment_rad)
+    cases = {
+        "no neighbour": (None, motion),
+        "motion not known": (window.before, None),
+        "fewer beams": (fewer, motion),
+        "other beams": (wider, motion),
+    }
+    for name, (neighbour, known) in cases.items():
+        assert neighbour_seen_from(window.scan, neighbour, known, SETTINGS) is None, name
 
 
 def test_the_doubt_of_the_turn_rate_is_that_of_noise() -> None:

@@ -142,7 +142,7 @@ def _suggestion_lines(known: Known, layer: LabelLayer) -> Iterator[str]:
                 ]
                 yield _row(known.name, side, noise, *cells, own["labelled"], own["automatic"])
         start_s = time.perf_counter()
-        found = suggest_thresholds(frames(), chain.alignment, settings.noise)
+        found = suggest_thresholds(frames(), chain.alignment, settings)
         yield _row(known.name, "suggested in", f"{time.perf_counter() - start_s:.1f} s")
         for suggestion in found:
             fit = suggestion.fit

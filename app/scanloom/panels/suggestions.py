@@ -99,7 +99,7 @@ class SuggestionControls:
             lambda progress: suggest_thresholds(
                 labelled_frames(chain, view.settings, own.labels.layer(name), offset_ms, progress),
                 chain.alignment,
-                view.settings.noise,
+                view.settings,
             ),
             keep,
         )

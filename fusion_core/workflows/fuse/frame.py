@@ -7,7 +7,8 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from fusion_core.alignment.time import ScanWindow
+from fusion_core.alignment.scan_motion import neighbour_seen_from
+from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.denoising.correspondence import Correspondence, pixels_met
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification, classify
@@ -112,7 +113,7 @@ def _classify_and_repair(
     a part."""
     scans = match.pair.window
     pairs, depth_m = _pairs_and_depth(match)
-    seen = _frame_window(match, scans, pairs, depth_m)
+    seen = _frame_window(match, scans, pairs, depth_m, settings.time)
     classes = _classify(match, seen, alignment, settings.noise)
     if labels is not None:
         upright = labels.upright()
@@ -130,17 +131,18 @@ def _classify_and_repair(
             labels.without_rejected(scans),
             replace(pairs, camera_range_m=camera_range_m),
             depth_m,
+            settings.time,
         )
     repaired = repair(seen, classes, alignment.scale, settings.repair)
     return classes, repaired, seen.pairs.camera_range_m
 
 
 def classify_match(
-    match: FrameMatch, alignment: RecordingAlignment, noise: NoiseSettings
+    match: FrameMatch, alignment: RecordingAlignment, settings: ChainSettings
 ) -> Classification:
     """The automatic classes of an image that is matched already, of a pasted panorama its part."""
-    seen = _frame_window(match, match.pair.window, *_pairs_and_depth(match))
-    classes = _classify(match, seen, alignment, noise)
+    seen = _frame_window(match, match.pair.window, *_pairs_and_depth(match), settings.time)
+    classes = _classify(match, seen, alignment, settings.noise)
     if match.pasted is None:
         return classes
     return _subset(classes, match.pasted.camera == match.pair.camera_index)
@@ -169,22 +171,23 @@ def _spread_to_missing(rejected: BoolArray, depth_m: Float32Array) -> BoolArray:
 
 
 def _frame_window(
-    match: FrameMatch, scans: ScanWindow, pairs: Correspondence, depth_m: Float32Array
+    match: FrameMatch,
+    scans: ScanWindow,
+    pairs: Correspondence,
+    depth_m: Float32Array,
+    time: TimeSettings,
 ) -> FrameWindow:
     """The pairs of an image, or of its panorama, with what is around them in space and time."""
     pair = match.pair
     rate = float("nan") if match.motion is None else match.motion.turn_rate_rad_s
     previous = pair.previous if match.pasted is None else match.pasted.previous
     scans, pairs = _with_seam_behind(scans, pairs)
-    scan = scans.scan
     return FrameWindow(
         pairs=pairs,
-        scan=scan,
+        scan=scans.scan,
         depth_m=depth_m,
-        scan_before=scans.before,
-        scan_after=scans.after,
-        shift_before=_beams_turned(scans.before, scan, rate),
-        shift_after=_beams_turned(scans.after, scan, rate),
+        scan_before=neighbour_seen_from(scans.scan, scans.before, match.motion, time),
+        scan_after=neighbour_seen_from(scans.scan, scans.after, match.motion, time),
         depth_before_m=None if previous is None else previous.depth_m,
         columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
     )
@@ -235,11 +238,3 @@ def _columns_turned(
     turned = rate_rad_s * (stamp_ns - previous.stamp_ns) / NS_PER_S
     # A camera that turns left moves what it sees to the right.
     return -turned * camera.intrinsics.fx
-
-
-def _beams_turned(other: LaserScan | None, scan: LaserScan, rate_rad_s: float) -> int:
-    """Beams by which a surface moves from ``scan`` to its neighbour in time."""
-    if other is None or not np.isfinite(rate_rad_s):
-        return 0
-    seconds = (other.stamp_ns - scan.stamp_ns) / NS_PER_S
-    return round(-rate_rad_s * seconds / scan.angle_increment_rad)

@@ -56,6 +56,6 @@ def evaluate_layer(
         if suggest:
             result["suggestions"] = {
                 own.setting: None if own.fit is None else own.fit.to_json()
-                for own in suggest_thresholds(frames(), chain.alignment, settings.noise)
+                for own in suggest_thresholds(frames(), chain.alignment, settings)
             }
     return result

@@ -18,6 +18,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.labels import Label
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import classify_match
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.labels.labelled_frames import LabelledFrame
 
 _EPSILONS = {
@@ -45,13 +46,16 @@ class Suggestion:
 
 
 def suggest_thresholds(
-    frames: Iterable[LabelledFrame], alignment: RecordingAlignment, noise: NoiseSettings
+    frames: Iterable[LabelledFrame], alignment: RecordingAlignment, settings: ChainSettings
 ) -> tuple[Suggestion, ...]:
     """A suggestion for each threshold that decides which samples are burrs; epsilon is the first.
 
     One pass over ``frames``, of which none is kept.
     """
-    sweeps = {name: _Sweep(noise, name, values) for name, values in _values_to_try(noise).items()}
+    sweeps = {
+        name: _Sweep(settings, name, values)
+        for name, values in _values_to_try(settings.noise).items()
+    }
     for frame in frames:
         for sweep in sweeps.values():
             sweep.add(frame, alignment)
@@ -72,11 +76,15 @@ def _values_to_try(noise: NoiseSettings) -> dict[str, FloatArray]:
 class _Sweep:
     """Counts of each scan under each value of one setting."""
 
-    def __init__(self, noise: NoiseSettings, name: str, values: FloatArray) -> None:
+    def __init__(self, settings: ChainSettings, name: str, values: FloatArray) -> None:
+        noise = settings.noise
         kind = type(getattr(noise, name))
         self._values = values
         self._current = int(np.searchsorted(values, float(getattr(noise, name))))
-        self._tried = [noise.model_copy(update={name: kind(value)}) for value in values.tolist()]
+        self._tried = [
+            settings.model_copy(update={"noise": noise.model_copy(update={name: kind(value)})})
+            for value in values.tolist()
+        ]
         # By the scan's stamp: its labelled samples, and those on which each value agrees.
         self._labelled: dict[int, IntArray] = {}
         self._agreed: dict[int, IntArray] = {}
@@ -92,8 +100,8 @@ class _Sweep:
             ]
         )
         agreed = np.zeros((len(self._tried), 2, 2), dtype=np.int64)
-        for place, noise in enumerate(self._tried):
-            classes = classify_match(frame.match, alignment, noise)
+        for place, settings in enumerate(self._tried):
+            classes = classify_match(frame.match, alignment, settings)
             burr = np.stack([classes.lidar_class, classes.depth_class]) == NoiseClass.BURR
             agreed[place, :, 0] = (labelled[:, 0] & burr).sum(axis=-1)
             agreed[place, :, 1] = (labelled[:, 1] & ~burr).sum(axis=-1)

@@ -16,6 +16,7 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import RepairSource
+from fusion_core.model.moved_scan import MovedScan
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.panels.explanation import (
@@ -104,12 +105,13 @@ def facts(
         camera_blocked=np.zeros(BEAMS, dtype=np.bool_),
         residual_m=(depth - scan.ranges_m) if compared else np.full(BEAMS, np.nan),
     )
+    again = MovedScan(ranges_m=scan.ranges_m, looked=np.ones(BEAMS, dtype=np.bool_))
     window = FrameWindow(
         pairs=pairs,
         scan=scan,
         depth_m=image,
-        scan_before=scan if steady else None,
-        scan_after=scan if steady else None,
+        scan_before=again if steady else None,
+        scan_after=again if steady else None,
         depth_before_m=before,
     )
     classes = classify(window, settings.noise, SCALE, 0.05)

@@ -104,9 +104,7 @@ def test_frames_without_a_label_are_left_out(chain, truth) -> None:
 def test_suggestions_are_scored_as_whole_runs_with_that_setting_are(chain, frames) -> None:
     """The score in use on the scans left out, by hand from the chain's own classes."""
     few = frames[::3]
-    found = {
-        own.setting: own.fit for own in suggest_thresholds(few, chain.alignment, DEFAULT.noise)
-    }
+    found = {own.setting: own.fit for own in suggest_thresholds(few, chain.alignment, DEFAULT)}
     assert next(iter(found)) == "epsilon"
     assert {"support_sigma", "burr_odds", "pixel_support"} <= found.keys()
     stamps = sorted({frame.match.scan.stamp_ns for frame in few})
@@ -149,9 +147,9 @@ def number_of(chain, frame):
 
 
 def test_of_few_labels_nothing_is_suggested(chain, frames) -> None:
-    found = suggest_thresholds(frames[:1], chain.alignment, DEFAULT.noise)
+    found = suggest_thresholds(frames[:1], chain.alignment, DEFAULT)
     assert {own.fit for own in found} == {None}
-    published = suggest_thresholds([], chain.alignment, PRESETS["published"].noise)
+    published = suggest_thresholds([], chain.alignment, PRESETS["published"])
     assert [own.setting for own in published] == ["epsilon"]
 
 
