@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion_core.alignment.moved_scan import move_scan
 from fusion_core.alignment.scan_motion import motion_between
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
-from fusion_core.model.moved_scan import move_scan
 from fusion_core.model.sensors import LaserScan
 
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.alignment.moved_scan import MovedScan, move_scan
 from fusion_core.alignment.parabola import parabola_offset
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.compiled import compiled
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import NS_PER_S, FloatArray, read_only
-from fusion_core.model.moved_scan import MovedScan, move_scan
 from fusion_core.model.planar_poses import invert_pose, pose_after, velocity_between
 from fusion_core.model.robust import MAD_TO_SIGMA, WELSCH_SD
 from fusion_core.model.sensors import LaserScan

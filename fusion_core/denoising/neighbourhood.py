@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from fusion_core.alignment.moved_scan import MovedScan
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.evidence import ranges_around, weigh_beams
 from fusion_core.denoising.noise_scale import NoiseScale
@@ -20,7 +21,6 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.moved_scan import MovedScan
 from fusion_core.model.sensors import LaserScan
 
 # Least fraction of valid depths around a pixel in the image before, to reject it; set by hand.

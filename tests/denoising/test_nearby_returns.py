@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fusion_core.alignment.moved_scan import MovedScan
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.nearby_returns import nearby_returns
 from fusion_core.denoising.neighbourhood import FrameWindow
@@ -13,7 +14,6 @@ from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import NoiseClass, RepairSource
-from fusion_core.model.moved_scan import MovedScan
 from fusion_core.model.sensors import LaserScan
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass

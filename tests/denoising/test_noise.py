@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fusion_core.alignment.moved_scan import MovedScan, move_scan
 from fusion_core.denoising.correspondence import Correspondence, match_along_curve
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import classify
@@ -19,7 +20,6 @@ from fusion_core.denoising.support import count_beam_support, count_pixel_suppor
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform
-from fusion_core.model.moved_scan import MovedScan, move_scan
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fusion_core.alignment.moved_scan import MovedScan
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import classify
@@ -16,7 +17,6 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import RepairSource
-from fusion_core.model.moved_scan import MovedScan
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.panels.explanation import (

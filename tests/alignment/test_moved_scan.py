@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.model.moved_scan import move_scan
+from fusion_core.alignment.moved_scan import move_scan
 from fusion_core.model.sensors import LaserScan
 from tests.alignment.polygon_room import scan_at
 
