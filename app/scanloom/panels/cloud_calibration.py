@@ -61,6 +61,8 @@ _REASONS = {
 }
 # The first poses, of a few pairs, can be anywhere.
 _CURVE_PERCENTILE, _CURVE_ROOM = 90.0, 1.5
+# Few counts of pairs are tried: their dots may be large.
+_CURVE_DOT_PX = 6.0
 
 
 class CloudCalibration:
@@ -100,8 +102,8 @@ class CloudCalibration:
                     y="error (px)",
                 ),
                 (
-                    dots("all pairs", color_of("conflict")),
-                    dots("after the filter", color_of("good")),
+                    dots("all pairs", color_of("conflict"), _CURVE_DOT_PX),
+                    dots("after the filter", color_of("good"), _CURVE_DOT_PX),
                 ),
             )
         self._overlay = gui.add_folder("The cloud over the image", visible=False)
