@@ -29,12 +29,14 @@ def has_neighbours(
     # Cells as wide as the radius: all neighbours lie in the 27 around. Index 0 stays empty.
     key = _cell_keys(cloud_m, lowest_m, radius_m)
     order = np.argsort(key, kind="stable")
+    key, in_order_m = key[order], cloud_m[order]
     # In the order of the cells, what one point looks at the next one finds in the cache.
-    asked = np.argsort(_cell_keys(points_m, lowest_m, radius_m), kind="stable")
+    asked, asked_m = order, in_order_m
+    if points_m is not cloud_m:
+        asked = np.argsort(_cell_keys(points_m, lowest_m, radius_m), kind="stable")
+        asked_m = points_m[asked]
     found = np.empty(len(points_m), dtype=np.bool_)
-    found[asked] = _has_neighbours(
-        points_m[asked], cloud_m[order], key[order], lowest_m, radius_m, neighbours_min
-    )
+    found[asked] = _has_neighbours(asked_m, in_order_m, key, lowest_m, radius_m, neighbours_min)
     return found
 
 
@@ -43,7 +45,7 @@ def _cell_keys(points_m: FloatArray, lowest_m: FloatArray, radius_m: float) -> I
     return (cell[:, 2] << 2 * _INDEX_BITS) | (cell[:, 1] << _INDEX_BITS) | cell[:, 0]
 
 
-@compiled(error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _has_neighbours(
     points_m: FloatArray,
     cloud_m: FloatArray,

@@ -57,6 +57,24 @@ def test_a_point_behind_has_no_pixel() -> None:
     assert np.isnan(view.project(-view.T_view_lidar[2:3, :3])[0]).all()
 
 
+@given(st.integers(0, 1000), st.floats(-3.0, 3.0), st.floats(-1.2, 1.2))
+def test_what_falls_into_the_picture_is_what_projects_there(
+    seed: int, azimuth: float, elevation: float
+) -> None:
+    view = camera(azimuth, elevation)
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0.0, 5.0, (500, 1)) * sphere(500)
+    points = transform_points(invert_transform(view.T_view_lidar), points)
+    pixels, depth_m = view.project(points)
+    u, v = pixels.T
+    inside = np.flatnonzero((u >= -0.5) & (u < 400.5) & (v >= -0.5) & (v < 300.5))
+    seen, seen_pixels, seen_depth_m = view.see(points)
+    assert inside.size > 10
+    np.testing.assert_array_equal(seen, inside)
+    np.testing.assert_allclose(seen_pixels, pixels[inside], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(seen_depth_m, depth_m[inside], rtol=1e-12)
+
+
 def sphere(count: int = 20_000) -> FloatArray:
     points = np.random.default_rng(0).normal(size=(count, 3))
     return points / np.linalg.norm(points, axis=1)[:, np.newaxis]

@@ -8,6 +8,8 @@
 4. Reprojection filtering and refinement (``reprojection.py``), judged on pairs that were held out.
 """
 
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,7 +49,11 @@ from fusion_core.calibration.features.reprojection import (
     image_blocks,
     reprojection_curve,
 )
-from fusion_core.calibration.features.virtual_camera import camera_towards, cloud_directions
+from fusion_core.calibration.features.virtual_camera import (
+    VirtualCamera,
+    camera_towards,
+    cloud_directions,
+)
 from fusion_core.calibration.reprojection_rms import reprojection_rms
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
@@ -239,22 +245,23 @@ def _search_features(
     if T_guess is not None:
         views.insert(0, camera_view(T_guess, intrinsics, 1.0))
         predictions.insert(0, (T_guess, settings.search.guess_radius_px))
-    sizes, camera, best = None, None, None
-    for number, (view, predicted) in enumerate(zip(views, predictions, strict=True)):
-        progress(number, len(views), "match features")
-        if sizes is None or camera is None:
-            sizes = search_pixel_size(some_m, view, settings.image)
-            size = sizes.chosen
-            clahe = settings.image.clahe_limit if settings.image.equalisation == "clahe" else 0.0
-            reduced = size if settings.search.reduce_camera else 1.0
-            camera = camera_features(grey, reduced, clahe, settings.features)
-            if len(camera.pixels) < settings.pose.pairs_min:
-                raise CalibrationFailed(
-                    f"the camera's image has only {len(camera.pixels)} features; at least "
-                    f"{settings.pose.pairs_min} are needed.",
-                    advice=_NEEDS,
-                )
-        image = render_intensity_image(
+    if not views:
+        raise CalibrationFailed("the cloud fills no field of view.", advice=_NEEDS)
+    progress(0, len(views), "match features")
+    sizes = search_pixel_size(some_m, views[0], settings.image)
+    size = sizes.chosen
+    clahe = settings.image.clahe_limit if settings.image.equalisation == "clahe" else 0.0
+    reduced = size if settings.search.reduce_camera else 1.0
+    camera = camera_features(grey, reduced, clahe, settings.features)
+    if len(camera.pixels) < settings.pose.pairs_min:
+        raise CalibrationFailed(
+            f"the camera's image has only {len(camera.pixels)} features; at least "
+            f"{settings.pose.pairs_min} are needed.",
+            advice=_NEEDS,
+        )
+
+    def render(view: VirtualCamera) -> IntensityImage:
+        return render_intensity_image(
             some_m,
             some_intensity,
             view.with_pixel_size(size),
@@ -262,6 +269,12 @@ def _search_features(
             settings.image,
             settings.cloud,
         )
+
+    best = None
+    for number, (image, predicted) in enumerate(
+        zip(_made_ahead(render, views), predictions, strict=True)
+    ):
+        progress(number, len(views), "match features")
         pairs = match_features(image, camera, intrinsics, settings.features, predicted=predicted)
         count = pairs.distinct
         if best is None or count > best[0]:
@@ -269,8 +282,7 @@ def _search_features(
         if count >= settings.search.enough_pairs:
             break
     progress(len(views), len(views), "match features")
-    if best is None or sizes is None:
-        raise CalibrationFailed("the cloud fills no field of view.", advice=_NEEDS)
+    assert best is not None, "there is a view"
     count, image, pairs = best
     if count < settings.pose.pairs_min:
         raise CalibrationFailed(
@@ -280,6 +292,23 @@ def _search_features(
         )
     T = _estimate(pairs, intrinsics, None, settings.pose)
     return _FirstPose(T_camera_lidar=T, image=image, pairs=pairs, pixel_sizes=sizes)
+
+
+def _made_ahead(
+    render: Callable[[VirtualCamera], IntensityImage], views: Sequence[VirtualCamera]
+) -> Iterator[IntensityImage]:
+    """The views' images in their order. While one is matched, another thread makes the next, but
+    for the second: most often the first is enough."""
+    yield render(views[0])
+    if len(views) == 1:
+        return
+    with ThreadPoolExecutor(1) as other:
+        coming = other.submit(render, views[1])
+        for view in views[2:]:
+            image = coming.result()
+            coming = other.submit(render, view)
+            yield image
+        yield coming.result()
 
 
 def _projection_note(

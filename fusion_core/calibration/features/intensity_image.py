@@ -13,6 +13,7 @@ import numpy as np
 from fusion_core.calibration.features.cloud_filter import CloudFilterSettings, is_no_outlier
 from fusion_core.calibration.features.intensity_correction import corrected_intensity
 from fusion_core.calibration.features.virtual_camera import VirtualCamera
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.settings import StageSettings, setting
 
@@ -116,11 +117,11 @@ def render_intensity_image(
     (11), (12), 0-based and with rows counted downwards: c = round((u' - u'_min) / dx),
     r = round((v' - v'_min) / dx). ``pixel_size`` is only recorded: it is the view's own.
     """
-    pixels, depth_m = view.project(points_m)
-    cells, kept = _cells(pixels, view)
+    kept, pixels, depth_m = view.see(points_m)
     passes = is_no_outlier(points_m[kept], cloud_settings)
-    cells, kept = cells[passes], kept[passes]
-    chosen, near = _median_points(cells, depth_m[kept], settings.occlusion_fraction)
+    kept, pixels, depth_m = kept[passes], pixels[passes], depth_m[passes]
+    cells = _cells_of(pixels, view)
+    chosen, near = _median_points(cells, depth_m, settings.occlusion_fraction)
     shape = (view.height, view.width)
     points = np.full((view.height * view.width, 3), np.nan, dtype=np.float32)
     points[cells[chosen]] = points_m[kept[chosen]]
@@ -129,7 +130,7 @@ def render_intensity_image(
         values[cells[chosen]] = intensity[kept[chosen]]
         weights = np.isfinite(values).astype(np.float64)
     else:
-        sums, weights = _spread(pixels[kept[near]], intensity[kept[near]], view)
+        sums, weights = _spread(pixels[near], intensity[kept[near]], view)
         # Only pixels that a point falls into have a value; others are filled for the picture.
         shown = cells[chosen]
         values[shown] = sums[shown] / weights[shown]
@@ -162,15 +163,21 @@ def _cells(pixels: FloatArray, view: VirtualCamera) -> tuple[IntArray, IntArray]
         & (pixels[:, 1] < view.height - 0.5)
     )
     kept = np.flatnonzero(inside)
-    nearest = np.floor(pixels[kept] + 0.5).astype(np.int64)
-    return nearest[:, 1] * view.width + nearest[:, 0], kept
+    return _cells_of(pixels[kept], view), kept
+
+
+def _cells_of(pixels: FloatArray, view: VirtualCamera) -> IntArray:
+    """Flat indices of pixels in the picture."""
+    nearest = np.floor(pixels + 0.5).astype(np.int64)
+    cells: IntArray = nearest[:, 1] * view.width + nearest[:, 0]
+    return cells
 
 
 def _median_points(
     cells: IntArray, depth_m: FloatArray, occlusion_fraction: float
 ) -> tuple[IntArray, IntArray]:
     """The point of median distance in each pixel, and the points about as far as it."""
-    order = np.lexsort((depth_m, cells))
+    order = _in_cells(cells, np.argsort(depth_m, kind="stable"))
     sorted_cells = cells[order]
     starts = np.flatnonzero(np.diff(sorted_cells, prepend=-1))
     counts = np.diff(np.append(starts, sorted_cells.size))
@@ -179,6 +186,21 @@ def _median_points(
     median_m = np.repeat(depth_m[chosen], counts)
     near = order[np.abs(depth_m[order] - median_m) <= occlusion_fraction * median_m]
     return chosen, near
+
+
+@compiled(nogil=True)
+def _in_cells(cells: IntArray, order: IntArray) -> IntArray:
+    """An ``order`` of points, (K,), sorted further by their ``cells``, (K,) small numbers, of each
+    of which the points are counted."""
+    starts = np.zeros(cells.max() + 2 if cells.size else 1, dtype=np.int64)
+    for cell in cells:
+        starts[cell + 1] += 1
+    starts = np.cumsum(starts)
+    in_cells = np.empty_like(order)
+    for point in order:
+        in_cells[starts[cells[point]]] = point
+        starts[cells[point]] += 1
+    return in_cells
 
 
 def _spread(

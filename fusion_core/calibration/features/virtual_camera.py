@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, read_only
+from fusion_core.compiled import compiled
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, IntArray, read_only
 from fusion_core.model.geometry import make_transform, transform_points
 
 # Nearer points stand on the sensor's own housing, and project anywhere.
@@ -37,6 +38,18 @@ class VirtualCamera:
         pixels = self.focal_px * seen[:, :2] / depth_m[:, np.newaxis] + (self.cx, self.cy)
         return pixels, depth_m
 
+    def see(self, points_m: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """(K,) which of (N, 3) points of the LiDAR fall into the picture, their (K, 2) pixels and
+        (K,) depths: of a whole turn they are few."""
+        seen: tuple[IntArray, FloatArray, FloatArray] = _see(
+            points_m,
+            self.T_view_lidar,
+            self.focal_px,
+            (self.cx, self.cy),
+            (self.width, self.height),
+        )
+        return seen
+
     def rays(self, pixels: FloatArray) -> FloatArray:
         """(N, 3) directions with z = 1, in the virtual camera's frame, of (N, 2) pixels."""
         plane = (pixels - (self.cx, self.cy)) / self.focal_px
@@ -57,6 +70,32 @@ class VirtualCamera:
             cx=(self.cx + 0.5) / pixel_size - 0.5,
             cy=(self.cy + 0.5) / pixel_size - 0.5,
         )
+
+
+@compiled(nogil=True)
+def _see(
+    points_m: FloatArray,
+    T: FloatArray,
+    focal_px: float,
+    centre_px: tuple[float, float],
+    size: tuple[int, int],
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """As ``VirtualCamera.see``."""
+    index = np.empty(points_m.shape[0], dtype=np.int64)
+    pixels, depths = np.empty((points_m.shape[0], 2)), np.empty(points_m.shape[0])
+    count = 0
+    for n in range(points_m.shape[0]):
+        x, y, z = points_m[n]
+        depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if not depth > _NEAREST_M:
+            continue
+        u = focal_px * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth + centre_px[0]
+        v = focal_px * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth + centre_px[1]
+        if -0.5 <= u < size[0] - 0.5 and -0.5 <= v < size[1] - 0.5:
+            index[count], depths[count] = n, depth
+            pixels[count, 0], pixels[count, 1] = u, v
+            count += 1
+    return index[:count].copy(), pixels[:count].copy(), depths[:count].copy()
 
 
 def camera_towards(

@@ -303,7 +303,7 @@ def test_a_suggestion_is_shown_and_applied_by_one_press(bench: Bench) -> None:
     expected = suggest_thresholds(
         labelled_frames(frame_view.chain, frame_view.view.settings, bench.labels.layer("jana")),
         frame_view.chain.alignment,
-        noise,
+        frame_view.view.settings,
     )
     fit = expected[0].fit
     assert fit is not None
