@@ -220,6 +220,7 @@ def test_layers_are_compared_without_known_answers(bench: Bench) -> None:
         ("dora", [0, 0, 1, 1, 2, 2, 0, 0]),
         ("emil", [0, 0, 1, 1, 2, 0, 0, 0]),
         ("frida", [0, 0, 1, 1, 2, 2, 3]),
+        ("gold", [0, 0, 1, 1]),
     ):
         give(bench, layer, scan, codes)
     bench.choose(gold_layer="gold")
