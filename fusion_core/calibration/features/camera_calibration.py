@@ -297,8 +297,8 @@ def _search_features(
 def _made_ahead(
     render: Callable[[VirtualCamera], IntensityImage], views: Sequence[VirtualCamera]
 ) -> Iterator[IntensityImage]:
-    """The views' images in their order. While one is matched, another thread makes the next, but
-    for the second: most often the first is enough."""
+    """The views' images in their order. While one is matched, another thread makes the next; not
+    while the first is, which is often enough."""
     yield render(views[0])
     if len(views) == 1:
         return
