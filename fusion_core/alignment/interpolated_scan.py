@@ -7,7 +7,7 @@ import numpy as np
 from fusion_core.alignment.moved_scan import move_scan
 from fusion_core.alignment.scan_motion import motion_between
 from fusion_core.alignment.time import ScanWindow, TimeSettings
-from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
+from fusion_core.model.conventions import NS_PER_MS, NS_PER_S
 from fusion_core.model.sensors import LaserScan
 
 
@@ -55,15 +55,8 @@ def interpolate_scan(window: ScanWindow, gap_ns: int, settings: TimeSettings) ->
         for source in (scan, other)
     )
     fraction = abs(gap_ns) / interval_ns
-    ranges_m = _mix_m(own_m, other_m, fraction, settings.same_surface_m)
+    # NaN compares false.
+    is_same = np.abs(other_m - own_m) <= settings.same_surface_m
+    ranges_m = np.where(is_same, own_m + fraction * (other_m - own_m), own_m)
     ranges_m = np.where(np.isnan(own_m), other_m, ranges_m)
     return replace(scan, stamp_ns=stamp_ns, ranges_m=ranges_m, intensities=None)
-
-
-def _mix_m(
-    own_m: FloatArray, other_m: FloatArray, fraction: FloatArray | float, same_surface_m: float
-) -> FloatArray:
-    """``own_m`` moved by ``fraction`` towards ``other_m`` where both are of one surface."""
-    # NaN compares false.
-    is_same = np.abs(other_m - own_m) <= same_surface_m
-    return np.where(is_same, own_m + fraction * (other_m - own_m), own_m)

@@ -7,6 +7,7 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only, wrap_angle
 from fusion_core.model.planar_poses import invert_pose, transform_planar_points
+from fusion_core.model.polar import points_from_polar
 from fusion_core.model.sensors import LaserScan
 
 
@@ -35,8 +36,8 @@ def move_scan(scan: LaserScan, pose: FloatArray, same_surface_m: float) -> Moved
     direction, the nearer is seen.
     """
     azimuth_rad, beam = scan.angles_rad, np.arange(scan.ranges_m.size)
-    directions = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
-    seen_m = transform_planar_points(invert_pose(pose), scan.ranges_m[:, np.newaxis] * directions)
+    points_m = points_from_polar(scan.ranges_m, azimuth_rad)
+    seen_m = transform_planar_points(invert_pose(pose), points_m)
     ranges_m = np.hypot(seen_m[:, 0], seen_m[:, 1])
     returned = np.isfinite(ranges_m)
     if not returned.any():

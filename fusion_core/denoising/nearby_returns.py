@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.neighbourhood import FrameWindow, scans_about
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
 # The motion between scans is known to a fraction of a beam, and a mixed pixel covers two.
@@ -87,18 +87,6 @@ def nearby_returns(window: FrameWindow) -> NearbyReturns:
         looked=looked,
         returned_fraction=returned / np.maximum(looked_about, 1),
     )
-
-
-def scans_about(window: FrameWindow) -> tuple[FloatArray, BoolArray]:
-    """(3, N) ranges of the scan before, the scan and the one after, and whether a beam looked
-    there."""
-    count = window.scan.ranges_m.size
-    ranges_m, looked = np.full((3, count), np.nan), np.zeros((3, count), dtype=np.bool_)
-    ranges_m[1], looked[1] = window.scan.ranges_m, True
-    for place, scan in ((0, window.scan_before), (2, window.scan_after)):
-        if scan is not None:
-            ranges_m[place], looked[place] = scan.ranges_m, scan.looked
-    return ranges_m, looked
 
 
 @compiled()

@@ -111,13 +111,21 @@ def weigh_neighbours(
     )
 
 
+def scans_about(window: FrameWindow) -> tuple[FloatArray, BoolArray]:
+    """(3, N) ranges of the scan before, the scan and the one after, NaN where there is none, and
+    whether a beam looked there."""
+    count = window.scan.ranges_m.size
+    ranges_m, looked = np.full((3, count), np.nan), np.zeros((3, count), dtype=np.bool_)
+    ranges_m[1], looked[1] = window.scan.ranges_m, True
+    for place, scan in ((0, window.scan_before), (2, window.scan_after)):
+        if scan is not None:
+            ranges_m[place], looked[place] = scan.ranges_m, scan.looked
+    return ranges_m, looked
+
+
 def _scans_in_time(window: FrameWindow) -> FloatArray:
     """(2, N) ranges of the scans before and after, NaN where there is none."""
-    in_time = np.full((2, window.scan.ranges_m.size), np.nan)
-    for place, scan in enumerate((window.scan_before, window.scan_after)):
-        if scan is not None:
-            in_time[place] = scan.ranges_m
-    return in_time
+    return scans_about(window)[0][[0, 2]]
 
 
 def find_unconfirmed_pixels(

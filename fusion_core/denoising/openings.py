@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.denoising.nearby_returns import NearbyReturns, scans_about
-from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.nearby_returns import NearbyReturns
+from fusion_core.denoising.neighbourhood import FrameWindow, scans_about
 from fusion_core.denoising.surfaces import interpolate_gaps
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 

@@ -66,8 +66,7 @@ def count_beam_support(
                 slant = 0.0
             if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
-        for neighbour in range(2):
-            scan = in_time[neighbour]
+        for scan in in_time:
             seen = False
             met = False
             for step in (-1, 0, 1):
@@ -98,12 +97,14 @@ def find_measured_pixels(
     for index in range(beams.size):
         for step in range(-3, 4):
             other = beams[index] + step
-            if step != 0 and 0 <= other < ranges.size:
+            if not 0 <= other < ranges.size:
+                continue
+            if step != 0:
                 off = abs(ranges[other] - as_range[index])
                 measured[index] |= off <= tolerance[index]
-            for side in range(2):
-                if abs(step) <= 1 and 0 <= other < ranges.size:
-                    off = abs(in_time[side, other] - as_range[index])
+            if abs(step) <= 1:
+                for scan in in_time:
+                    off = abs(scan[other] - as_range[index])
                     measured[index] |= off <= tolerance[index]
     return measured
 

@@ -16,7 +16,7 @@ def has_neighbours(
     """(N,) which of (N, 3) points have at least ``neighbours_min`` others within ``radius_m``.
 
     ``cloud_m``: (M, 3) the cloud of possible neighbours, which contains the points themselves; a
-    point is not its own neighbour.
+    point is not its own neighbour. The same array as ``points_m`` is sorted once.
 
     Raises ValueError for points that are not finite or lie too far apart for the radius.
     """

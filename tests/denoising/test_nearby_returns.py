@@ -15,6 +15,7 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.sensors import LaserScan
+from tests.denoising.seen_scans import seen
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 RAW, OTHER, NEIGHBOURS, NONE = RepairSource
@@ -42,12 +43,6 @@ def scan_of(ranges_m):
         range_max_m=8.0,
         ranges_m=np.array(ranges_m, dtype=np.float64),
     )
-
-
-def seen(ranges_m, looked=None):
-    """Another scan, as seen from the frame's place."""
-    looked = np.ones(BEAMS, dtype=np.bool_) if looked is None else looked
-    return MovedScan(ranges_m=np.array(ranges_m, dtype=np.float64), looked=looked)
 
 
 def window_of(lidar, *, before=None, after=None, camera=None, blocked=None):

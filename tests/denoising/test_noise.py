@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion_core.alignment.moved_scan import MovedScan, move_scan
+from fusion_core.alignment.moved_scan import move_scan
 from fusion_core.denoising.correspondence import Correspondence, match_along_curve
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import classify
@@ -22,6 +22,7 @@ from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
+from tests.denoising.seen_scans import seen
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 BEAMS = 41
@@ -62,12 +63,6 @@ def wall():
 
 def wall_image():
     return np.full((2 * ROW + 1, BEAMS), 2.0, dtype=np.float32)
-
-
-def seen(ranges_m):
-    """Another scan, as seen from the frame's place."""
-    ranges_m = np.array(ranges_m, dtype=np.float64)
-    return MovedScan(ranges_m=ranges_m, looked=np.ones(ranges_m.size, dtype=np.bool_))
 
 
 def window_of(lidar, image, *, camera=None, row=None, model="curve", **neighbours):

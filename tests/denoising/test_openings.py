@@ -10,14 +10,8 @@ from scipy.stats import binomtest
 from fusion_core.denoising.nearby_returns import nearby_returns
 from fusion_core.denoising.openings import ReturnsInOpening, find_openings, returns_in_openings
 from fusion_core.model.classes import RepairSource
-from tests.denoising.test_nearby_returns import (
-    BEAMS,
-    SETTINGS,
-    repaired,
-    scan_of,
-    seen,
-    window_of,
-)
+from tests.denoising.seen_scans import seen
+from tests.denoising.test_nearby_returns import BEAMS, SETTINGS, repaired, scan_of, window_of
 
 NEIGHBOURS = RepairSource.NEIGHBOURS
 TRIALS = 200

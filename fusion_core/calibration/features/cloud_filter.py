@@ -99,17 +99,14 @@ def is_no_outlier(points_m: FloatArray, settings: CloudFilterSettings) -> BoolAr
     range_m = np.linalg.norm(points_m, axis=1)
     radius_m = np.maximum(settings.radius_m, settings.radius_rad * range_m)
     octave = np.floor(np.log2(radius_m / settings.radius_m)).astype(np.int64)
-    steps = np.unique(octave)
-    if steps.size == 1:
-        radius = settings.radius_m * 2.0 ** float(steps[0])
-        return has_neighbours(points_m, points_m, radius, settings.neighbours_min)
-    for step in steps:
+    for step in np.unique(octave):
         here = octave == step
         # What lies within a radius is at most one step nearer or farther.
         around = np.abs(octave - step) <= 1
+        cloud_m = points_m[around]
         kept[here] = has_neighbours(
-            points_m[here],
-            points_m[around],
+            cloud_m if (here == around).all() else points_m[here],
+            cloud_m,
             settings.radius_m * 2.0 ** float(step),
             settings.neighbours_min,
         )

@@ -1,6 +1,6 @@
 """An image and its scan, matched, classified and repaired."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
@@ -138,14 +138,19 @@ def _classify_and_repair(
 
 
 def classify_match(
-    match: FrameMatch, alignment: RecordingAlignment, settings: ChainSettings
-) -> Classification:
-    """The automatic classes of an image that is matched already, of a pasted panorama its part."""
-    seen = _frame_window(match, match.pair.window, *_pairs_and_depth(match), settings.time)
-    classes = _classify(match, seen, alignment, settings.noise)
-    if match.pasted is None:
-        return classes
-    return _subset(classes, match.pasted.camera == match.pair.camera_index)
+    match: FrameMatch,
+    alignment: RecordingAlignment,
+    time: TimeSettings,
+    noises: Iterable[NoiseSettings],
+) -> Iterator[Classification]:
+    """The automatic classes by each of some settings of an image that is matched already, of a
+    pasted panorama its part."""
+    seen = _frame_window(match, match.pair.window, *_pairs_and_depth(match), time)
+    for noise in noises:
+        classes = _classify(match, seen, alignment, noise)
+        if match.pasted is not None:
+            classes = _subset(classes, match.pasted.camera == match.pair.camera_index)
+        yield classes
 
 
 def _classify(

@@ -20,7 +20,7 @@ def measure_classes(
     """Precision and recall of the automatic classes, for each class on both sides."""
     confusion = np.zeros((2, 4, 4), dtype=np.int64)
     for frame in frames:
-        classes = classify_match(frame.match, alignment, settings)
+        (classes,) = classify_match(frame.match, alignment, settings.time, [settings.noise])
         confusion[0] += count_confusion(frame.lidar, classes.lidar_class)
         confusion[1] += count_confusion(frame.depth, classes.depth_class)
     return LabelMeasures(confusion=confusion)

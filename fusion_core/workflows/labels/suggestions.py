@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.overruling import is_rejected
 from fusion_core.evaluation.threshold_fit import ThresholdFit, ThresholdSweep, fit_threshold
@@ -52,13 +53,11 @@ def suggest_thresholds(
 
     One pass over ``frames``, of which none is kept.
     """
-    sweeps = {
-        name: _Sweep(settings, name, values)
-        for name, values in _values_to_try(settings.noise).items()
-    }
+    noise = settings.noise
+    sweeps = {name: _Sweep(noise, name, values) for name, values in _values_to_try(noise).items()}
     for frame in frames:
         for sweep in sweeps.values():
-            sweep.add(frame, alignment)
+            sweep.add(frame, alignment, settings.time)
     return tuple(Suggestion(setting=name, fit=sweep.fit()) for name, sweep in sweeps.items())
 
 
@@ -76,20 +75,16 @@ def _values_to_try(noise: NoiseSettings) -> dict[str, FloatArray]:
 class _Sweep:
     """Counts of each scan under each value of one setting."""
 
-    def __init__(self, settings: ChainSettings, name: str, values: FloatArray) -> None:
-        noise = settings.noise
+    def __init__(self, noise: NoiseSettings, name: str, values: FloatArray) -> None:
         kind = type(getattr(noise, name))
         self._values = values
         self._current = int(np.searchsorted(values, float(getattr(noise, name))))
-        self._tried = [
-            settings.model_copy(update={"noise": noise.model_copy(update={name: kind(value)})})
-            for value in values.tolist()
-        ]
+        self._tried = [noise.model_copy(update={name: kind(value)}) for value in values.tolist()]
         # By the scan's stamp: its labelled samples, and those on which each value agrees.
         self._labelled: dict[int, IntArray] = {}
         self._agreed: dict[int, IntArray] = {}
 
-    def add(self, frame: LabelledFrame, alignment: RecordingAlignment) -> None:
+    def add(self, frame: LabelledFrame, alignment: RecordingAlignment, time: TimeSettings) -> None:
         pairs, stamp_ns = frame.match.correspondence, frame.match.scan.stamp_ns
         sides = ((frame.lidar, pairs.lidar_range_m), (frame.depth, pairs.depth_m))
         # (2 sides, 2: noise and good, B)
@@ -100,8 +95,8 @@ class _Sweep:
             ]
         )
         agreed = np.zeros((len(self._tried), 2, 2), dtype=np.int64)
-        for place, settings in enumerate(self._tried):
-            classes = classify_match(frame.match, alignment, settings)
+        tried = classify_match(frame.match, alignment, time, self._tried)
+        for place, classes in enumerate(tried):
             burr = np.stack([classes.lidar_class, classes.depth_class]) == NoiseClass.BURR
             agreed[place, :, 0] = (labelled[:, 0] & burr).sum(axis=-1)
             agreed[place, :, 1] = (labelled[:, 1] & ~burr).sum(axis=-1)

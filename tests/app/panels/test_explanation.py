@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fusion_core.alignment.moved_scan import MovedScan
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import classify
@@ -27,6 +26,7 @@ from scanloom.panels.explanation import (
     length,
 )
 from scanloom.scene.frame_summary import BeamFacts, facts_of_beam
+from tests.denoising.seen_scans import seen
 
 BEAMS, ROWS, ROW = 41, 61, 30
 SCALE = NoiseScale(floor_m=0.02, fraction=0.0)
@@ -105,7 +105,7 @@ def facts(
         camera_blocked=np.zeros(BEAMS, dtype=np.bool_),
         residual_m=(depth - scan.ranges_m) if compared else np.full(BEAMS, np.nan),
     )
-    again = MovedScan(ranges_m=scan.ranges_m, looked=np.ones(BEAMS, dtype=np.bool_))
+    again = seen(scan.ranges_m)
     window = FrameWindow(
         pairs=pairs,
         scan=scan,
