@@ -136,6 +136,64 @@ def test_all_that_walls_and_floor_show_is_found(seed: int) -> None:
     assert fit.floor_patches > 100
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_stands_before_every_wall_below_the_camera_does_not_tilt_it(seed: int) -> None:
+    """A ledge before each wall: the scan's lines are 0.2 m before most of what the camera sees."""
+    x, y, _ = ROOM.size_m
+    ledges = (
+        (0.0, 0.0, 0.0, x, 0.2, 0.5),
+        (0.0, y - 0.2, 0.0, x, y, 0.5),
+        (0.0, 0.0, 0.0, 0.2, y, 0.5),
+        (x - 0.2, 0.0, 0.0, x, y, 0.5),
+    )
+    T = camera_pose(seed)
+    frames = drive(T, seed, room=BoxRoom(boxes=(*FURNITURE, *ledges)))
+    problem = PlanarProblem(frames, SIZE, 700)
+    off = apply_pose_error(T, np.array([0.02, 0.05, -0.02, 0.05, 0.0, -0.05]))
+    for start in (T, off):
+        fit = problem.fit(start, priors(T), with_covariance=False)
+        error = pose_error(T, fit.T_camera_lidar)
+        assert np.rad2deg(np.abs(error[:3])).max() < 0.1
+        assert np.abs(in_lidar(T, error)[:2]).max() < 0.01
+
+
+def test_a_wrong_pose_has_less_support_whatever_noise_it_learns() -> None:
+    """Of poses as they are: no step is made."""
+    T = camera_pose(1)
+    problem = PlanarProblem(drive(T, 1), SIZE, 700)
+    support = [
+        problem.fit(
+            apply_pose_error(T, np.array([0.0, np.deg2rad(yaw_deg), 0.0, 0.0, 0.0, 0.0])),
+            priors(T),
+            with_covariance=False,
+            iterations_max=0,
+        ).support
+        for yaw_deg in (0.0, 1.0, 3.0)
+    ]
+    assert support[0] > support[1] > support[2]
+
+
+def test_a_line_ends_at_the_corner() -> None:
+    """Beams beside a corner do not take the other wall's points into their line's distance."""
+    azimuths = np.deg2rad(np.arange(-60.0, 60.0, 0.5))
+    ahead_m, left_m = 2.0, 1.5
+    on_left = np.tan(azimuths) > left_m / ahead_m
+    points = np.where(
+        on_left[:, np.newaxis],
+        np.stack([left_m / np.tan(np.where(on_left, azimuths, 1.0)), np.full(240, left_m)], -1),
+        np.stack([np.full(240, ahead_m), ahead_m * np.tan(azimuths)], -1),
+    )
+    frame = replace(
+        drive(camera_pose(0), 0, count=1)[0],
+        azimuths_rad=azimuths,
+        points_m=points,
+        normals=np.where(on_left[:, np.newaxis], [0.0, 1.0], [1.0, 0.0]),
+        normal_sd_rad=np.full(240, 0.01),
+    )
+    flat = FlatFrames.of([frame], 100)
+    np.testing.assert_allclose(flat.beam_offset_m, np.where(on_left, left_m, ahead_m), atol=1e-12)
+
+
 def test_a_measured_height_of_the_lidar_makes_its_own_observable() -> None:
     T = camera_pose(1)
     problem = PlanarProblem(drive(T, 1), SIZE, 700)

@@ -7,7 +7,10 @@ plane. The LiDAR sweeps parallel to the floor: patches of it lie at one height, 
 roll once more. Neither shows the height of the LiDAR's plane: only a prior does.
 
 Gauss-Newton, reweighted by Welsch's loss, over the pose's six degrees and what would bias them: by
-which fraction the depths are too long, how late the camera's clock is, and the floor's height.
+which fraction the depths are too long, how late the camera's clock is, and the floor's height. What
+stands before or behind a scan's line at other heights is always on one side, and would tilt a pose
+until much of it fits: the tilt that the surfaces' directions show is held until the place in the
+LiDAR's plane is found.
 """
 
 from collections.abc import Sequence
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.calibration.planar.level_start import find_up, turn_level
 from fusion_core.calibration.planar.patch_noise import PatchNoise
 from fusion_core.calibration.planar.planar_frames import FlatFrames, ScanWithPatches
 from fusion_core.calibration.planar.planar_residuals import (
@@ -34,13 +38,15 @@ from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.robust import WELSCH_SD
 from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
 
-# The start is off by more than the noise: its scale is taken wider at first.
-_ANNEALING = (4.0, 3.0, 2.5, 2.0, 1.5)
-_NOISE_ITERATIONS = 3
+# So long the place in the LiDAR's plane moves alone; then so long the noise is learned as well.
+_IN_PLANE_ITERATIONS = 5
+_NOISE_ITERATIONS = 4
 # By the deviations of independent patches, which are far smaller than those of the pose.
 _LAST_STEP_SD = 0.1
 # Patches with less of their weight left are of something else.
 _AGREEING = 0.05
+# Information that no data moves.
+_HELD = 1e15
 # Fewer patches on lines show nothing.
 _MIN_PATCHES = 200
 
@@ -76,7 +82,8 @@ class PlanarFit:
     stamps are, ``floor_m``: the camera's height above the floor, NaN where none is seen.
     ``covariance``: (6, 6) of POSE_PARAMETERS, None where the frames and places are too few to tell.
     ``wall_patches``, ``floor_patches``: how many agree, ``agreement``: of the patches of walls on a
-    scan's line. ``noise``: of patches, ``residual_rms_m``: of those of walls that agree.
+    scan's line. ``support``: how many walls' patches fit with the noise that is assumed of all,
+    each by its weight. ``noise``: of patches, ``residual_rms_m``: of those of walls that agree.
     """
 
     T_camera_lidar: FloatArray
@@ -87,6 +94,7 @@ class PlanarFit:
     wall_patches: int
     floor_patches: int
     agreement: float
+    support: float
     noise: PatchNoise
     residual_rms_m: float
 
@@ -136,14 +144,15 @@ class PlanarProblem:
         Raises CalibrationFailed where hardly any patch is on a line.
         """
         kept = np.ones(self.frames, dtype=bool) if used is None else used
-        state = PlanarState(T_start.copy(), 0.0, priors.clock_s, np.nan)
+        up = find_up(self._flat.normal_in_camera[kept[self._flat.frame]], T_start[:3, 2])
+        T_start = turn_level(T_start, up)
+        state = PlanarState(T_start, 0.0, priors.clock_s, np.nan)
         noise = PatchNoise()
-        widened = len(_ANNEALING)
+        all_learned = _IN_PLANE_ITERATIONS + _NOISE_ITERATIONS
         for iteration in range(iterations_max):
-            factor = _ANNEALING[iteration] if iteration < widened else 1.0
-            if iteration <= widened:
-                floor = find_floor_m(self._flat, state, kept)
-                state.floor_m = floor
+            in_plane = iteration < _IN_PLANE_ITERATIONS
+            if iteration <= _IN_PLANE_ITERATIONS:
+                state.floor_m = find_floor_m(self._flat, state, kept)
             found = surface_residuals(self._flat, state, kept, self._size)
             if np.count_nonzero(~found.is_floor) < _MIN_PATCHES:
                 raise CalibrationFailed(
@@ -151,20 +160,14 @@ class PlanarProblem:
                     advice="Start from better extrinsics (--guess), or record along walls.",
                 )
             # Learned again and again, it would move the optimum with it.
-            if 2 <= iteration < widened + _NOISE_ITERATIONS:
+            if _IN_PLANE_ITERATIONS < iteration <= all_learned:
                 noise = noise.learn(found.depth_m, found.value, found.is_floor)
-            # First the pose alone: what is of other surfaces pulls at the rest.
-            step, sd = self._step(
-                found, state, T_start, priors, noise, factor, pose_only=iteration < widened
-            )
+            step, sd = self._step(found, state, T_start, priors, noise, in_plane)
             state.T = apply_pose_error(state.T, step[:POSE])
             state.stretch += float(step[STRETCH])
             state.clock_s += float(step[CLOCK])
             state.floor_m += float(step[FLOOR])
-            if (
-                iteration > widened + _NOISE_ITERATIONS
-                and (np.abs(step) < _LAST_STEP_SD * sd).all()
-            ):
+            if iteration > all_learned and (np.abs(step) < _LAST_STEP_SD * sd).all():
                 break
         found = surface_residuals(self._flat, state, kept, self._size)
         return self._result(found, state, T_start, priors, noise, with_covariance)
@@ -230,17 +233,20 @@ class PlanarProblem:
         T_start: FloatArray,
         priors: PlanarPriors,
         noise: PatchNoise,
-        factor: float,
-        pose_only: bool,
+        in_plane: bool,
     ) -> tuple[FloatArray, FloatArray]:
+        """(9,) the step and (9,) its deviations, of independent patches. ``in_plane``: of the place
+        in the LiDAR's plane, and of the heights, alone."""
         gradient, information = self._prior(state, T_start, priors)
-        sigma = noise.at(found.depth_m, found.is_floor) * factor
+        sigma = noise.at(found.depth_m, found.is_floor)
         weight = np.exp(-((found.value / sigma / WELSCH_SD) ** 2)) / sigma**2
         J = found.jacobian
         information = information + J.T @ (J * weight[:, None])
         gradient = gradient - J.T @ (weight * found.value)
-        if pose_only:
-            information[[STRETCH, CLOCK], [STRETCH, CLOCK]] += 1e15
+        if in_plane:
+            up = state.T[:3, 2]
+            information[:3, :3] += _HELD * (np.eye(3) - np.outer(up, up))
+            information[[STRETCH, CLOCK], [STRETCH, CLOCK]] += _HELD
         try:
             back = np.linalg.inv(information)
         except np.linalg.LinAlgError as error:
@@ -264,6 +270,8 @@ class PlanarProblem:
         sigma = noise.at(found.depth_m, found.is_floor)
         z = found.value / sigma
         welsch = np.exp(-((z / WELSCH_SD) ** 2))
+        assumed = PatchNoise().at(found.depth_m, found.is_floor)
+        support = np.exp(-((found.value / assumed / WELSCH_SD) ** 2))[~found.is_floor].sum()
         counts = welsch > _AGREEING
         walls = counts & ~found.is_floor
         covariance = None
@@ -302,6 +310,7 @@ class PlanarProblem:
             wall_patches=int(np.count_nonzero(walls)),
             floor_patches=int(np.count_nonzero(counts & found.is_floor)),
             agreement=float(walls.sum() / max(np.count_nonzero(~found.is_floor), 1)),
+            support=float(support),
             noise=noise,
             residual_rms_m=_rms(found.value[walls]),
         )

@@ -14,8 +14,10 @@ FRAME_KEY = 10.0
 
 # Points whose line a beam's own place is averaged over, on each side.
 _NEIGHBOURS = 8
-# Of one line: a neighbour is no farther from it than some times the noise of a range.
+# Of one line: a neighbour is no farther from it than some times the noise of a range, and goes the
+# same way. Beyond a corner the other wall is near the line, too, always on one side of it.
 _SAME_LINE_M = 0.05
+_SAME_LINE_COSINE = float(np.cos(np.deg2rad(3.0)))
 # The noise of depths is learned in bins of so many patches, from the quantile that is surely of
 # clean planes; those count that spread up to so many times as much.
 _PER_BIN = 500
@@ -170,6 +172,7 @@ def _line_offsets_m(frame: ScanWithPatches) -> FloatArray:
         other = np.clip(index + step, 0, count - 1)
         offset = (normals * points[other]).sum(axis=1)
         near = (other == index + step) & (np.abs(offset - own) < _SAME_LINE_M)
+        near &= (normals * normals[other]).sum(axis=1) > _SAME_LINE_COSINE
         total += np.where(near, offset, 0.0)
         weight += near
     mean: FloatArray = total / np.maximum(weight, 1.0)
