@@ -184,6 +184,10 @@ def _find_mount(
     priors = MountPriors.without_recorded(yaw_rad, settings)
     if floor is not None:
         priors = priors.with_pitch(floor.pitch_rad, max(floor.pitch_sd_rad, _SEARCHED_PITCH_SD_RAD))
+        # Walls look alike at all heights: what nothing shows stays where LiDARs usually are.
+        priors = priors.with_height(
+            floor.height_m - settings.assumed_lidar_height_m, settings.assumed_lidar_height_sd_m
+        )
     fits = search_mounts(problem, priors, heights_m)
     best, is_yaw_ambiguous = choose_mount(problem, fits, yaw_rad)
     priors = priors.with_yaw(float(best[0]))

@@ -1,4 +1,4 @@
-"""The rig's pitch and roll from the floor that it sees: the LiDAR sweeps parallel to it.
+"""The rig's pitch, roll and height by the floor that it sees: the LiDAR sweeps parallel to it.
 
 The floor is the lowest surface with much of the image on it. On a plane the inverse depth is linear
 in the pixel's ray, so that the rays, which are exact, explain the depths, which are not. The mount
@@ -50,12 +50,14 @@ _NEAR_RAD = np.deg2rad(5.0)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FloorTilt:
     """Tilt of the rig against the floor, R = Ry(pitch) Rx(roll), with standard deviations: pitch is
-    positive where it looks down, roll where its left side is raised."""
+    positive where it looks down, roll where its left side is raised. ``height_m``: of the rig's
+    origin above the floor."""
 
     pitch_rad: float
     pitch_sd_rad: float
     roll_rad: float
     roll_sd_rad: float
+    height_m: float
 
     @property
     def is_rolled(self) -> bool:
@@ -148,13 +150,14 @@ def _fit_floor(
         pitch_sd_rad=float(np.sqrt(slope @ covariance @ slope)),
         roll_rad=float(np.arctan2(-plane[1], -plane[2])),
         roll_sd_rad=float(np.sqrt(across @ covariance @ across)),
+        height_m=float(1.0 / np.linalg.norm(plane) - np.mean([view.above_rig_m for view in views])),
     )
 
 
 class _View:
     """Some of an image's pixels: ``rays`` (N, 3) in the rig's axes, 1 m long along the
     optical axis, and ``depth_m`` (N,) of those with a depth, unfiltered: a median of a slanted
-    surface beside holes is none of its own."""
+    surface beside holes is none of its own. ``above_rig_m``: the camera's height over the rig."""
 
     def __init__(self, frame: MountObservation) -> None:
         stride = max(1, frame.raw_depth_m.shape[0] // _ROWS)
@@ -164,6 +167,7 @@ class _View:
         rays = frame.camera.rays(stride * self.row, stride * self.column)
         self.rays = rays @ frame.camera.T_rig_camera[:3, :3].T
         self.depth_m = depth_m[self.row, self.column].astype(np.float64)
+        self.above_rig_m = float(frame.camera.T_rig_camera[2, 3])
 
 
 def _without_rims(views: list[_View], near: BoolArray) -> BoolArray:

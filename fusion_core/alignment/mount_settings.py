@@ -61,7 +61,23 @@ class MountSettings(StageSettings):
         le=30.0,
     )
     prior_delta_z_sd_m: float = setting(
-        1.0, "Doubt of a height of zero, where none is recorded", unit="m", ge=1e-3, le=10.0
+        1.0,
+        "Doubt of a height of zero, where none is recorded and no floor is seen",
+        unit="m",
+        ge=1e-3,
+        le=10.0,
+    )
+    # TurtleBot to Robot@Home: 0.1 to 0.5 m.
+    assumed_lidar_height_m: float = setting(
+        0.3,
+        "Height of the LiDAR above the floor that is assumed where no mount is recorded and the "
+        "cameras see the floor",
+        unit="m",
+        ge=0.0,
+        le=5.0,
+    )
+    assumed_lidar_height_sd_m: float = setting(
+        0.2, "Doubt of an assumed height of the LiDAR", unit="m", ge=1e-2, le=5.0
     )
     prior_arm_sd_m: float = setting(
         0.15,
@@ -107,6 +123,10 @@ class MountPriors:
     def with_pitch(self, pitch_rad: float, sd_rad: float) -> "MountPriors":
         """The same with another doubt of the pitch."""
         return self._with(4, pitch_rad, sd_rad)
+
+    def with_height(self, delta_z_m: float, sd_m: float) -> "MountPriors":
+        """The same with another doubt of the height."""
+        return self._with(1, delta_z_m, sd_m)
 
     def with_yaw(self, yaw_rad: float) -> "MountPriors":
         """The same around another yaw."""

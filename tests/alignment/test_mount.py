@@ -311,8 +311,8 @@ def test_another_height_is_tried_where_no_fit_holds(
         return fit if len(tried) > 1 else replace(fit, sd=np.full(fit.sd.shape, np.inf))
 
     monkeypatch.setattr("fusion_core.alignment.mount.fit_in_plane", fit_once)
-    truth = random_mount(3)
-    found = trial(drive(furnished_room, truth, 3), truth)
+    truth = random_mount(7)
+    found = trial(drive(furnished_room, truth, 7), truth)
     assert len(tried) == 2
     assert tried[0][1] != tried[1][1]
     assert found.estimate.is_confident

@@ -15,7 +15,7 @@ from fusion_core.model.two_way_covariance import (
     shared_grouping,
     two_way_covariance,
 )
-from tests.alignment.test_mount import LENS, SETTINGS, drive, random_mount
+from tests.alignment.test_mount import LENS, LIDAR_HEIGHT_M, SETTINGS, drive, random_mount
 
 
 def test_independent_frames_are_blocks_of_their_own() -> None:
@@ -144,6 +144,17 @@ def test_the_floor_shows_the_pitch(furnished_room, seed: int) -> None:
     error = found.pitch_rad - mount.pitch_rad
     assert abs(error) < np.deg2rad(0.5)
     assert abs(error) < 4.0 * found.pitch_sd_rad
+    assert found.height_m == pytest.approx(LIDAR_HEIGHT_M + mount.delta_z_m, abs=0.01)
+
+
+def test_walls_alone_leave_the_lidar_where_it_usually_is(box_room) -> None:
+    """They look alike at all heights: the floor is seen, and the LiDAR is assumed 0.3 m above it.
+    What is assumed is not observable."""
+    mount = replace(random_mount(1), delta_z_m=0.6, pitch_rad=0.15)
+    estimate = estimate_mount(drive(box_room(), mount, 1), SETTINGS, yaw_rad=mount.yaw_rad)
+    assumed_m = LIDAR_HEIGHT_M + mount.delta_z_m - SETTINGS.assumed_lidar_height_m
+    assert estimate.mount.delta_z_m == pytest.approx(assumed_m, abs=0.15)
+    assert estimate.mount.sd[1] is None
 
 
 def test_depths_of_few_steps_state_no_exact_pitch(furnished_room) -> None:
