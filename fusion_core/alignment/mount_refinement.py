@@ -19,7 +19,7 @@ from fusion_core.alignment.mount_cost import MountCost, points_at_image, turn_po
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Mount
-from fusion_core.model.robust import MAD_TO_SIGMA, WELSCH_SD, robust_sigma
+from fusion_core.model.robust import MAD_TO_SIGMA, robust_sigma, welsch_weight
 
 IN_PLANE = np.array([0, 2, 3, 5])
 """Of MOUNT_PARAMETERS: yaw, forward, left, clock offset. The depths' stretch follows them."""
@@ -211,8 +211,7 @@ def refine_in_plane(
 
 def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, FloatArray]:
     """(N, 5) scores and (N,) weights of Welsch's loss."""
-    z = residuals.values / noise
-    weight: FloatArray = np.exp(-((z / WELSCH_SD) ** 2)) / noise**2
+    weight = welsch_weight(residuals.values, noise) / noise**2
     return -(weight * residuals.values)[:, None] * residuals.jacobian, weight
 
 

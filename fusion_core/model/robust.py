@@ -14,6 +14,12 @@ WELSCH_SD = 2.985
 """Where the weight is 1 / e in standard deviations: Welsch's weights then have 95 % efficiency."""
 
 
+def welsch_weight(residuals: FloatArray, sigma: FloatArray | float) -> FloatArray:
+    """(n,) Welsch's weights of (n,) residuals with standard deviation ``sigma``, 1 at zero."""
+    weight: FloatArray = np.exp(-((residuals / sigma / WELSCH_SD) ** 2))
+    return weight
+
+
 def robust_sigma(residuals: FloatArray) -> float:
     """Standard deviation of (n,) residuals about zero from the median of their sizes, n >= 1."""
     return MAD_TO_SIGMA * float(np.median(np.abs(residuals)))

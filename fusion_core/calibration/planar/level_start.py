@@ -6,6 +6,7 @@ normals are which is told from the direction found so far, within a cone that na
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import make_transform
@@ -38,9 +39,6 @@ def turn_level(T_camera_lidar: FloatArray, up: FloatArray) -> FloatArray:
     """(4, 4) the pose with the LiDAR's axis along ``up`` (3,) of the camera's frame, by the least
     turn of the camera about its own place. ``up`` is not opposite to that axis."""
     R, t = T_camera_lidar[:3, :3], T_camera_lidar[:3, 3]
-    axis = np.cross(R[:, 2], up)
-    # Rodrigues' formula, of two unit vectors.
-    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    Q = np.eye(3) + K + K @ K / (1.0 + R[:, 2] @ up)
+    Q = Rotation.align_vectors(up, R[:, 2])[0].as_matrix()
     # The camera's place in the LiDAR's frame is -R^T t.
     return make_transform(Q @ R, Q @ t)

@@ -35,7 +35,7 @@ from fusion_core.calibration.planar.planar_residuals import (
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import CalibrationFailed
-from fusion_core.model.robust import WELSCH_SD
+from fusion_core.model.robust import welsch_weight
 from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
 
 # So long the place in the LiDAR's plane moves alone; then so long the noise is learned as well.
@@ -181,8 +181,8 @@ class PlanarProblem:
         if not np.isfinite(state.floor_m):
             state.floor_m = fit.floor_m
         found = surface_residuals(self._flat, state, kept, self._size)
-        z = found.value / fit.noise.at(found.depth_m, found.is_floor) / WELSCH_SD
-        loss = 1.0 - np.exp(-(z**2))
+        sigma = fit.noise.at(found.depth_m, found.is_floor)
+        loss = 1.0 - welsch_weight(found.value, sigma)
         near = (loss < 1.0 - _AGREEING) & ~found.is_floor
         return PoseCost(
             mean=float(loss.mean()) if loss.size else np.nan,
@@ -239,7 +239,7 @@ class PlanarProblem:
         in the LiDAR's plane, and of the heights, alone."""
         gradient, information = self._prior(state, T_start, priors)
         sigma = noise.at(found.depth_m, found.is_floor)
-        weight = np.exp(-((found.value / sigma / WELSCH_SD) ** 2)) / sigma**2
+        weight = welsch_weight(found.value, sigma) / sigma**2
         J = found.jacobian
         information = information + J.T @ (J * weight[:, None])
         gradient = gradient - J.T @ (weight * found.value)
@@ -268,10 +268,9 @@ class PlanarProblem:
         with_covariance: bool,
     ) -> PlanarFit:
         sigma = noise.at(found.depth_m, found.is_floor)
-        z = found.value / sigma
-        welsch = np.exp(-((z / WELSCH_SD) ** 2))
+        welsch = welsch_weight(found.value, sigma)
         assumed = PatchNoise().at(found.depth_m, found.is_floor)
-        support = np.exp(-((found.value / assumed / WELSCH_SD) ** 2))[~found.is_floor].sum()
+        support = welsch_weight(found.value, assumed)[~found.is_floor].sum()
         counts = welsch > _AGREEING
         walls = counts & ~found.is_floor
         covariance = None
