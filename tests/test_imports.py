@@ -14,11 +14,12 @@ BASE = {"fusion_core.model", "fusion_core.settings", "fusion_core.compiled"}
 PROCESSES = {"fusion_core.worker_processes", "fusion_core.freed_memory"}
 FILES = {"fusion_core.files"}
 LENS = {"fusion_core.lens"}
+PATCHES = {"fusion_core.patches"}
 ALGORITHMS = {
-    "fusion_core.alignment": BASE | LENS,
+    "fusion_core.alignment": BASE | LENS | PATCHES,
     "fusion_core.registration": BASE,
     "fusion_core.mapping": BASE | {"fusion_core.registration"},
-    "fusion_core.calibration": BASE | LENS | {"fusion_core.registration"},
+    "fusion_core.calibration": BASE | LENS | PATCHES | {"fusion_core.registration"},
     "fusion_core.denoising": BASE | {"fusion_core.alignment", "fusion_core.registration"},
     "fusion_core.motion": BASE | LENS | {"fusion_core.registration"},
     "fusion_core.slam": BASE
@@ -36,13 +37,20 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.model": set(),
     "fusion_core.settings": {"fusion_core.model"},
     "fusion_core.lens": {"fusion_core.model"},
+    "fusion_core.patches": {"fusion_core.model"},
     "fusion_core.files": {"fusion_core.model"},
     "fusion_core.compiled": set(),
     "fusion_core.freed_memory": set(),
     "fusion_core.worker_processes": {"fusion_core.model"},
     **ALGORITHMS,
     **SIDES,
-    "fusion_core.workflows": BASE | LENS | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
+    "fusion_core.workflows": BASE
+    | LENS
+    | PATCHES
+    | FILES
+    | PROCESSES
+    | ALGORITHMS.keys()
+    | SIDES.keys(),
     "scanloom": BASE | {"fusion_core.freed_memory", "fusion_core.workflows"},
 }
 # The parts of the app, each level above what it may import; jobs and state know each other.

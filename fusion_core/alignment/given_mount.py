@@ -168,7 +168,8 @@ def _move_within_doubt(
         return own.values, sd
     if priors.sd[1] <= OBSERVABLE_SD[1]:
         return own.values, sd
-    heights_m = heights_to_try(problem, settings)
+    lowest_surface_m = problem.lowest_surface_m(float(own.values[4]))
+    heights_m = heights_to_try(lowest_surface_m, settings)
     heights = sample_heights(problem, own.values, heights_m, priors)
     found = fit_in_plane(problem, lines, [heights.best], priors)
     sd[IN_PLANE] = found.sd[IN_PLANE]

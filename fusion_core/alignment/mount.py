@@ -19,7 +19,7 @@ from fusion_core.alignment.in_plane_mount import (
     moved_by_height,
 )
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
-from fusion_core.alignment.mount_floor import FloorTilt, find_floor_tilt
+from fusion_core.alignment.mount_floor import find_floor_tilt
 from fusion_core.alignment.mount_height import (
     heights_to_try,
     keep_sight,
@@ -35,13 +35,15 @@ from fusion_core.alignment.mount_search import (
     search_mounts,
 )
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
+from fusion_core.alignment.mount_walls import find_wall_tilt
 from fusion_core.alignment.parabola import parabola_offset
 from fusion_core.alignment.recorded_mount import find_refusal
+from fusion_core.alignment.rig_tilt import RigTilt
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Mount
 
-# The search may move the floor's pitch by this, so that it is not caught in a narrow valley.
+# The search may move the pitch that is seen by this, so that it is not caught in a narrow valley.
 _SEARCHED_PITCH_SD_RAD = float(np.deg2rad(0.5))
 
 
@@ -57,8 +59,8 @@ class MountEstimate:
     ``is_given``: a person gave it; ``is_confirmed``: whether enough points agree under it;
     ``contradictions``: what speaks against it, as parts of a sentence; ``moved_from_given``: how
     far it was moved within its covariance, in the same way, "" where it is used as it is given.
-    ``floor``: the rig's tilt by the floor, None where it shows none or where the transforms are
-    known.
+    ``tilt``: the rig's, by the floor or walls; None where neither shows it or where the transforms
+    are known.
     """
 
     mount: Mount
@@ -73,13 +75,13 @@ class MountEstimate:
     is_confirmed: bool = True
     contradictions: tuple[str, ...] = ()
     moved_from_given: str = ""
-    floor: FloorTilt | None = None
+    tilt: RigTilt | None = None
 
     @property
     def roll_rad(self) -> float:
         """By how much the cameras' poses have to be rolled for this mount (``Camera.rolled``), 0
-        where the floor does not show that the rig is rolled."""
-        return self.floor.roll_rad if self.floor is not None and self.floor.is_rolled else 0.0
+        where nothing shows that the rig is rolled."""
+        return self.tilt.roll_rad if self.tilt is not None and self.tilt.is_rolled else 0.0
 
 
 def estimate_mount(
@@ -96,10 +98,10 @@ def estimate_mount(
     tried as well, and taken only where they agree significantly better.
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
     what is seen (``find_refusal``), unless too few points agree and another mount explains them
-    significantly. Where nothing is recorded and the floor shows that the rig is rolled, the mount
-    is that of the rolled cameras. Of a mount that the recording does not give, and under which too
-    few points agree, nothing but the floor's pitch is observable. ``on_step`` is called before each
-    mount that is tried, and may raise to end the search.
+    significantly. Where nothing is recorded and floor or walls show that the rig is rolled, the
+    mount is that of the rolled cameras. Of a mount that the recording does not give, and under
+    which too few points agree, nothing but their pitch is observable. ``on_step`` is called before
+    each mount that is tried, and may raise to end the search.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
@@ -110,23 +112,20 @@ def estimate_mount(
             advice="Use a longer recording.",
         )
     problem = MountCost(frames, settings, on_step)
-    floor = None
+    tilt = None
     if recorded is None:
-        floor = find_floor_tilt(frames, problem.headings_rad(), settings)
-        if floor is not None and floor.is_rolled:
-            rolled = [frame.rolled(floor.roll_rad) for frame in frames]
+        tilt = _find_tilt(frames, problem, settings)
+        if tilt is not None and tilt.is_rolled:
+            rolled = [frame.rolled(tilt.roll_rad) for frame in frames]
             problem = MountCost(rolled, settings, on_step)
     lines = ScanLines(problem)
-    heights_m = heights_to_try(problem, settings)
     refusal = "" if recorded is None else find_refusal(problem, recorded, settings, yaw_rad)
     found = None
     if recorded is not None and not refusal:
         found = _refine_recorded(problem, lines, recorded, settings)
     if found is None or found.agreement(problem) < settings.min_agreement:
-        seen = floor
-        if recorded is not None:
-            seen = find_floor_tilt(frames, problem.headings_rad(), settings)
-        free = _find_mount(problem, lines, yaw_rad, heights_m, seen, settings)
+        seen = tilt if recorded is None else _find_tilt(frames, problem, settings)
+        free = _find_mount(problem, lines, yaw_rad, seen, settings)
         if found is not None:
             refusal = _reason_to_prefer_free_fit(problem, found.values, free.values, settings)
         if found is None or refusal:
@@ -135,11 +134,12 @@ def estimate_mount(
     is_from_recorded = recorded is not None and not refusal
     sd = np.where(found.sd <= OBSERVABLE_SD, found.sd, np.inf)
     if agreement < settings.min_agreement and not is_from_recorded:
-        # The pitch is the floor's, whatever the points say.
+        # The pitch is that of floor or walls, whatever the points say.
         sd[[0, 1]] = np.inf
     if not np.isfinite(sd[0]):
         # Forward and left are along the yaw, and a delay turns it.
         sd[[2, 3, CLOCK]] = np.inf
+    heights_m = heights_to_try(problem.lowest_surface_m(float(found.values[4])), settings)
     mount = Mount.from_vector(
         found.values, tuple(float(value) if np.isfinite(value) else None for value in sd)
     )
@@ -152,8 +152,16 @@ def estimate_mount(
         delta_z_profile=delta_z_profile(problem, found.values, heights_m)[:, 1:],
         refusal=refusal,
         yaw_per_delay_rad_s=0.0 if np.isfinite(sd[CLOCK]) else found.yaw_per_delay_rad_s,
-        floor=floor,
+        tilt=tilt,
     )
+
+
+def _find_tilt(
+    frames: Sequence[MountObservation], problem: MountCost, settings: MountSettings
+) -> RigTilt | None:
+    headings_rad = problem.headings_rad()
+    floor = find_floor_tilt(frames, headings_rad, settings)
+    return find_wall_tilt(frames, headings_rad, settings) if floor is None else floor
 
 
 def _refine_recorded(
@@ -176,23 +184,28 @@ def _find_mount(
     problem: MountCost,
     lines: ScanLines,
     yaw_rad: float,
-    heights_m: FloatArray,
-    floor: FloorTilt | None,
+    tilt: RigTilt | None,
     settings: MountSettings,
 ) -> InPlaneMount:
     """The mount where nothing is recorded of it."""
     priors = MountPriors.without_recorded(yaw_rad, settings)
-    if floor is not None:
-        priors = priors.with_pitch(floor.pitch_rad, max(floor.pitch_sd_rad, _SEARCHED_PITCH_SD_RAD))
-        # Walls look alike at all heights: what nothing shows stays where LiDARs usually are.
-        priors = priors.with_height(
-            floor.height_m - settings.assumed_lidar_height_m, settings.assumed_lidar_height_sd_m
-        )
+    if tilt is not None:
+        priors = priors.with_pitch(tilt.pitch_rad, max(tilt.pitch_sd_rad, _SEARCHED_PITCH_SD_RAD))
+    lowest_surface_m = problem.lowest_surface_m(float(priors.centre[4]))
+    # Walls look alike at all heights: what nothing shows stays where LiDARs usually are.
+    assumed_m, assumed_sd_m = settings.assumed_lidar_height_m, settings.assumed_lidar_height_sd_m
+    if tilt is not None and tilt.height_m is not None:
+        priors = priors.with_height(tilt.height_m - assumed_m, assumed_sd_m)
+    elif assumed_m < -lowest_surface_m < np.inf:
+        # The floor is no higher than anything seen: so high is the camera at least.
+        least_m = -lowest_surface_m - assumed_m
+        priors = priors.with_height(least_m, assumed_sd_m, settings.prior_delta_z_sd_m)
+    heights_m = heights_to_try(lowest_surface_m, settings)
     fits = search_mounts(problem, priors, heights_m)
     best, is_yaw_ambiguous = choose_mount(problem, fits, yaw_rad)
     priors = priors.with_yaw(float(best[0]))
-    if floor is not None:
-        priors = priors.with_pitch(floor.pitch_rad, floor.pitch_sd_rad)
+    if tilt is not None:
+        priors = priors.with_pitch(tilt.pitch_rad, tilt.pitch_sd_rad)
     heights = sample_heights(problem, best, heights_m, priors)
     near = [fit for fit in fits if have_same_yaw(fit[0], best[0])]
     for at in (heights.best, heights.least):
@@ -206,8 +219,8 @@ def _find_mount(
     sd = np.hypot(sd, moved_by_height(lines, found, heights.least, priors))
     spread = heights.sd()
     sd[1] = spread[1]
-    sd[4] = np.inf if floor is None else floor.pitch_sd_rad
-    tilt_m = spread[2] if floor is None else abs(heights.best[1]) * floor.pitch_sd_rad
+    sd[4] = np.inf if tilt is None else tilt.pitch_sd_rad
+    tilt_m = spread[2] if tilt is None else abs(heights.best[1]) * tilt.pitch_sd_rad
     sd[2] = np.hypot(sd[2], tilt_m)
     if is_yaw_ambiguous:
         sd[0] = np.inf

@@ -97,19 +97,21 @@ class MountCost:
         """The same cost over every third frame, for a wide search."""
         return MountCost(self._frames[::3], self._settings, self._on_step)
 
-    def lowest_surface_m(self) -> float:
-        """Height of the lowest surface in the rig frame: the floor, where it is in the image.
+    def lowest_surface_m(self, pitch_rad: float = 0.0) -> float:
+        """Height over the rig of the lowest surface that it sees under a pitch: the floor, where it
+        is in the image; -inf where it sees none.
 
         A LiDAR plane below it would be nowhere in the images.
         """
         lowest = []
+        up_in_rig = np.array([-np.sin(pitch_rad), 0.0, np.cos(pitch_rad)])
         for index, T_camera_rig in enumerate(self._T_camera_rig):
             fx, fy, cx, cy, width, height = self._intrinsics[index]
             first = self._first_pixel[index]
             depth = self._pixels[first : first + int(width * height)].reshape(int(height), -1)
             v, u = np.mgrid[0 : int(height) : 4, 0 : int(width) : 4]
             z = depth[::4, ::4]
-            up = T_camera_rig[:3, 2]
+            up = T_camera_rig[:3, :3] @ up_in_rig
             heights = z * ((u - cx) / fx * up[0] + (v - cy) / fy * up[1] + up[2])
             heights = heights[np.isfinite(heights)] - float(up @ T_camera_rig[:3, 3])
             if heights.size:
@@ -117,11 +119,12 @@ class MountCost:
         return float(np.median(lowest)) if lowest else float("-inf")
 
     def tallies_per_frame(self, values: FloatArray) -> FloatArray:
-        """(F, 4): cost, points in front of the camera, points on valid depth, points that agree."""
+        """(F, 5): cost, points in front of the camera, points on valid depth, points that agree,
+        and points that something nearer may occlude."""
         return self.tallies_per_group(values, self.frame_of_point, self.frames)
 
     def tallies_per_group(self, values: FloatArray, group: IntArray, groups: int) -> FloatArray:
-        """(groups, 4): the same for any groups of points, (N,) by their numbers; below 0 a point
+        """(groups, 5): the same for any groups of points, (N,) by their numbers; below 0 a point
         belongs to none."""
         mount = Mount.from_vector(values)
         T_camera_lidar = (
@@ -222,7 +225,7 @@ class MountCost:
         return (depth >= _MIN_DEPTH_M) & (column >= 0) & (column < width), column, row
 
     def _tallies(self, T_camera_lidar: FloatArray, group: IntArray, groups: int) -> FloatArray:
-        """(K, groups, 4) under K mounts, (K, F, 4, 4)."""
+        """(K, groups, 5) under K mounts, (K, F, 4, 4)."""
         self._on_step()
         tallies: FloatArray = _tally_points(
             self.points,
@@ -256,10 +259,12 @@ class MountCost:
         )
 
     def agreement_and_visibility(self, values: FloatArray) -> tuple[float, float]:
-        """Fraction of the points on valid depth that agree, and fraction of the points in front of
-        a camera that fall on valid depth."""
-        tallies = self.tallies_per_frame(values).sum(axis=0)
-        return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
+        """Fraction of the points on valid depth that agree, where one that something nearer may
+        occlude counts as ``occlusion_cost`` of one that is contradicted; and fraction of the points
+        in front of a camera that fall on valid depth."""
+        _, in_front, on_depth, agreeing, hidden = self.tallies_per_frame(values).sum(axis=0)
+        compared = on_depth - (1.0 - self._settings.occlusion_cost) * hidden
+        return float(agreeing / max(compared, 1.0)), float(on_depth / max(in_front, 1.0))
 
 
 def turn_points(vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:
@@ -290,9 +295,9 @@ def _tally_points(
     no_depth_cost: float,
 ) -> FloatArray:
     """Under each of K mounts, per group of points (none below 0): cost, points in front, points on
-    valid depth, points within 2.5 tolerances."""
+    valid depth, points within 2.5 tolerances, points farther than those."""
     mounts, frames = T_camera_lidar.shape[:2]
-    out = np.zeros((mounts, groups, 4))
+    out = np.zeros((mounts, groups, 5))
     for k in range(mounts):
         for frame in range(frames):
             fx, fy, cx, cy, width, height = intrinsics[frame]
@@ -325,4 +330,6 @@ def _tally_points(
                 out[k, to, 0] += loss if off > 0.0 else occlusion_cost * loss
                 if abs(off) < _AGREE_TOLERANCES:
                     out[k, to, 3] += 1.0
+                elif off < 0.0:
+                    out[k, to, 4] += 1.0
     return out

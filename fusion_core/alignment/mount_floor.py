@@ -6,7 +6,6 @@ has no roll of its own: a rig that shows one takes it into its cameras' poses.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import cv2
@@ -15,6 +14,7 @@ import numpy as np
 from fusion_core.alignment.mount_cost import PLACE_RAD
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
+from fusion_core.alignment.rig_tilt import RigTilt, images_for_tilt
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll
 from fusion_core.model.two_way_covariance import (
@@ -23,8 +23,7 @@ from fusion_core.model.two_way_covariance import (
     two_way_covariance,
 )
 
-# So many frames, and rows of each with columns as far apart: more have the same errors.
-_FRAMES = 24
+# So many rows of an image, with columns as far apart: more have the same errors.
 _ROWS = 40
 # Tilts tried, and the layers that a floor is looked for in: what half a degree leaves of it.
 _PITCHES_RAD = np.deg2rad(np.arange(-20.0, 20.5, 1.0))
@@ -41,42 +40,19 @@ _FIRST_NOISE = 0.4
 _ITERATIONS = 12
 # Residuals beyond this many standard deviations are of something else.
 _OUTLIER_SD = 3.0
-# Of a 95 % interval.
-_SIGNIFICANT_SD = 1.96
 # The fit stays near the tilt that it started from, which noise in the depths bends.
 _NEAR_RAD = np.deg2rad(5.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FloorTilt:
-    """Tilt of the rig against the floor, R = Ry(pitch) Rx(roll), with standard deviations: pitch is
-    positive where it looks down, roll where its left side is raised. ``height_m``: of the rig's
-    origin above the floor."""
-
-    pitch_rad: float
-    pitch_sd_rad: float
-    roll_rad: float
-    roll_sd_rad: float
-    height_m: float
-
-    @property
-    def is_rolled(self) -> bool:
-        """Whether the roll differs from that of a level rig by more than its 95 % interval."""
-        return abs(self.roll_rad) > _SIGNIFICANT_SD * self.roll_sd_rad
-
-
 def find_floor_tilt(
     frames: Sequence[MountObservation], headings_rad: FloatArray, settings: MountSettings
-) -> FloorTilt | None:
+) -> RigTilt | None:
     """The tilt; None where no floor is seen, or too little of it to tell a deviation.
 
     ``headings_rad``: (F,) of the LiDAR at each frame. What is no floor to a level rig counts only
     where it shows for sure that the rig is rolled.
     """
-    views = {
-        index: _View(frames[index])
-        for index in range(0, len(frames), max(1, len(frames) // _FRAMES))
-    }
+    views = {index: _View(frames[index]) for index in images_for_tilt(len(frames))}
     level = _fit_floor(views, headings_rad, settings, np.zeros(1))
     if level is not None:
         return level
@@ -89,7 +65,7 @@ def _fit_floor(
     headings_rad: FloatArray,
     settings: MountSettings,
     rolls_rad: FloatArray,
-) -> FloorTilt | None:
+) -> RigTilt | None:
     """The tilt, from the fullest layer under one of these rolls."""
     views = list(view_of_frame.values())
     rays = np.concatenate([view.rays for view in views])
@@ -145,7 +121,7 @@ def _fit_floor(
     slope /= plane @ plane
     # Of arctan2(-b, -c).
     across = np.array([0.0, plane[2], -plane[1]]) / (plane[1] ** 2 + plane[2] ** 2)
-    return FloorTilt(
+    return RigTilt(
         pitch_rad=pitch,
         pitch_sd_rad=float(np.sqrt(slope @ covariance @ slope)),
         roll_rad=float(np.arctan2(-plane[1], -plane[2])),

@@ -82,10 +82,11 @@ def pitches_of(priors: MountPriors) -> FloatArray:
     return pitches
 
 
-def heights_to_try(problem: MountCost, settings: MountSettings) -> FloatArray:
-    """The heights that the settings and the lowest surface seen allow."""
+def heights_to_try(lowest_surface_m: float, settings: MountSettings) -> FloatArray:
+    """The heights that the settings and the lowest surface seen, at this height over the rig,
+    allow."""
     lowest_m = settings.delta_z_min_m
-    highest_m = min(settings.delta_z_max_m, -problem.lowest_surface_m() - settings.clearance_m)
+    highest_m = min(settings.delta_z_max_m, -lowest_surface_m - settings.clearance_m)
     return np.arange(lowest_m, max(highest_m, lowest_m + 0.1), _HEIGHT_STEP_M)
 
 
@@ -106,34 +107,46 @@ def sample_heights(
             for pitch in pitches_of(priors)
         ]
     )
-    z = (mounts - priors.centre)[:, [1, 4]] / priors.sd[[1, 4]]
     weight_of_prior = prior_weight(problem)
 
-    def prior_cost(centre: FloatArray) -> FloatArray:
-        cost: FloatArray = weight_of_prior * ((z - centre) ** 2).sum(axis=1)
+    def prior_cost(held: MountPriors) -> FloatArray:
+        cost: FloatArray = weight_of_prior * held.squares(mounts)[:, [1, 4]].sum(axis=1)
         return cost
 
     tallies = np.array([problem.tallies_per_group(one, group, places)[:, :3] for one in mounts])
     costs, counts, on_depth = np.moveaxis(tallies, -1, 0)
-    total, own_prior = np.maximum(counts.sum(axis=1), 1.0), prior_cost(np.zeros(2))
-    shows_most = (costs.sum(axis=1) / total + own_prior).argmin()
-    usual_cost = _usual_cost(tallies[shows_most], problem.no_depth_cost)
+    total, own_prior = np.maximum(counts.sum(axis=1), 1.0), prior_cost(priors)
+    dear = costs.sum(axis=1) / total + own_prior
+    usual_cost = _usual_cost(tallies[dear.argmin()], problem.no_depth_cost)
     costs = costs + (counts - on_depth) * (usual_cost - problem.no_depth_cost)
     rng = np.random.default_rng(_SEED)
     samples = []
     for _ in range(_REPLICATES):
         weight = rng.multinomial(places, np.full(places, 1.0 / places))
         mean = costs @ weight / np.maximum(counts @ weight, 1.0)
-        samples.append(mounts[(mean + prior_cost(rng.normal(size=2))).argmin()])
-    best = mounts[shows_most]
+        samples.append(mounts[(mean + prior_cost(priors.with_drawn_height(rng))).argmin()])
     least = (costs.sum(axis=1) / total + own_prior).argmin()
     return HeightSamples(
-        best=best,
+        best=mounts[_inner_minimum(dear, heights_m.size)],
         least=mounts[least],
         mounts=np.array(samples),
-        is_height_known=places > 1 and best[1] not in (heights_m[0], heights_m[-1]),
+        is_height_known=places > 1
+        and mounts[dear.argmin(), 1] not in (heights_m[0], heights_m[-1]),
         range_m=range_m,
     )
+
+
+def _inner_minimum(costs: FloatArray, heights: int) -> int:
+    """Index of the least of (heights x pitches) costs at a height whose neighbours cost no less;
+    of the least of all where there is none: where costs still fall at a bound, they tell no
+    height."""
+    by_height = costs.reshape(heights, -1)
+    least = by_height.min(axis=1)
+    is_minimum = np.zeros(heights, dtype=bool)
+    is_minimum[1:-1] = least[1:-1] <= np.minimum(least[:-2], least[2:])
+    if is_minimum.any():
+        costs = np.where(is_minimum[:, None], by_height, np.inf)
+    return int(costs.argmin())
 
 
 def _usual_cost(tallies: FloatArray, no_depth_cost: float) -> float:

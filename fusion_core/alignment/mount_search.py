@@ -35,8 +35,9 @@ def search_mounts(
     yaw_rad = float(priors.centre[0])
     rivals = _find_rival_yaws(problem.subsampled(), priors.centre, heights_m[::3])
     for yaw in [yaw_rad, *rivals]:
-        centre = _turned_to(priors.centre, yaw)
-        cost = _add_prior(problem, centre, priors.sd, float(heights_m[-1]))
+        turned = priors.with_yaw(yaw)
+        centre = turned.centre
+        cost = _add_prior(problem, turned, float(heights_m[-1]))
         # The best start is enough to compare a rival; the rows' own yaw gets several.
         count = _MAX_STARTS if yaw == yaw_rad else 1
         for start in _local_minima(delta_z_profile(problem, centre, heights_m), centre, count):
@@ -101,15 +102,14 @@ def _turned_to(values: FloatArray, yaw_rad: float) -> FloatArray:
 
 
 def _add_prior(
-    problem: MountCost, centre: FloatArray, spread: FloatArray, highest_m: float
+    problem: MountCost, priors: MountPriors, highest_m: float
 ) -> Callable[[FloatArray], float]:
     weight = prior_weight(problem)
 
     def cost(values: FloatArray) -> float:
         if values[1] > highest_m:
             return 1.0 + float(values[1] - highest_m)
-        prior = float(np.sum(((values - centre) / spread) ** 2))
-        return problem.mean_cost(values) + weight * prior
+        return problem.mean_cost(values) + weight * float(np.sum(priors.squares(values)))
 
     return cost
 

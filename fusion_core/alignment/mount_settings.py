@@ -1,6 +1,6 @@
 """How the mount is refined, and what is held of it before the data."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class MountSettings(StageSettings):
     )
     prior_delta_z_sd_m: float = setting(
         1.0,
-        "Doubt of a height of zero, where none is recorded and no floor is seen",
+        "Doubt of the camera's height over the LiDAR, where none is recorded and no floor is seen",
         unit="m",
         ge=1e-3,
         le=10.0,
@@ -70,8 +70,8 @@ class MountSettings(StageSettings):
     # TurtleBot to Robot@Home: 0.1 to 0.5 m.
     assumed_lidar_height_m: float = setting(
         0.3,
-        "Height of the LiDAR above the floor that is assumed where no mount is recorded and the "
-        "cameras see the floor",
+        "Height of the LiDAR above the floor that is assumed where no mount is recorded; where no "
+        "floor is seen, its greatest above the lowest surface seen",
         unit="m",
         ge=0.0,
         le=5.0,
@@ -110,11 +110,13 @@ class MountSettings(StageSettings):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountPriors:
     """What is held of the mount before the data: ``centre`` and ``sd``, (6,) as MOUNT_PARAMETERS;
-    infinite where nothing is. ``stretch_sd``: of the fraction by which depths are too long."""
+    infinite where nothing is. ``stretch_sd``: of the fraction by which depths are too long.
+    ``higher_sd_m``: of a Delta z above the centre, None where it is the same as below."""
 
     centre: FloatArray
     sd: FloatArray
     stretch_sd: float
+    higher_sd_m: float | None = None
 
     def __post_init__(self) -> None:
         read_only(self.centre)
@@ -124,9 +126,11 @@ class MountPriors:
         """The same with another doubt of the pitch."""
         return self._with(4, pitch_rad, sd_rad)
 
-    def with_height(self, delta_z_m: float, sd_m: float) -> "MountPriors":
+    def with_height(
+        self, delta_z_m: float, sd_m: float, higher_sd_m: float | None = None
+    ) -> "MountPriors":
         """The same with another doubt of the height."""
-        return self._with(1, delta_z_m, sd_m)
+        return replace(self._with(1, delta_z_m, sd_m), higher_sd_m=higher_sd_m)
 
     def with_yaw(self, yaw_rad: float) -> "MountPriors":
         """The same around another yaw."""
@@ -135,7 +139,25 @@ class MountPriors:
     def _with(self, index: int, centre: float, sd: float) -> "MountPriors":
         centres, sds = self.centre.copy(), self.sd.copy()
         centres[index], sds[index] = centre, sd
-        return MountPriors(centre=centres, sd=sds, stretch_sd=self.stretch_sd)
+        return replace(self, centre=centres, sd=sds)
+
+    def squares(self, values: FloatArray) -> FloatArray:
+        """(..., 6) squared differences of mounts from the centre, in squared deviations."""
+        off = values - self.centre
+        z = off / self.sd
+        if self.higher_sd_m is not None:
+            z[..., 1] = np.where(off[..., 1] > 0.0, off[..., 1] / self.higher_sd_m, z[..., 1])
+        squares: FloatArray = z**2
+        return squares
+
+    def with_drawn_height(self, rng: np.random.Generator) -> "MountPriors":
+        """The same around a height and a pitch that are drawn from them."""
+        draw = np.zeros(self.sd.size)
+        draw[[1, 4]] = rng.normal(size=2)
+        off = draw * np.where(np.isfinite(self.sd), self.sd, 0.0)
+        if self.higher_sd_m is not None and draw[1] > 0.0:
+            off[1] = draw[1] * self.higher_sd_m
+        return replace(self, centre=self.centre + off)
 
     @classmethod
     def without_recorded(cls, yaw_rad: float, settings: MountSettings) -> "MountPriors":

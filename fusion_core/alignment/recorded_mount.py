@@ -44,17 +44,18 @@ def find_refusal(
             f"it puts the camera {apart_m:.4g} m from the LiDAR, which sees no farther than "
             f"{problem.max_range_m:.4g} m"
         )
-    visible, agreeing = _count_agreeing(problem, recorded)
+    visible = _count_visible(problem, recorded)
     if visible < MIN_POINTS:
         return ""
-    turned = [
-        _count_agreeing(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn))
-        for turn in _TURNS_RAD
-    ]
+    turned = [replace(recorded, yaw_rad=recorded.yaw_rad + turn) for turn in _TURNS_RAD]
     # A camera that is turned to where the LiDAR is blind cannot be compared.
-    fractions = [other / count for count, other in turned if count >= 0.5 * visible]
+    fractions = [
+        problem.agreement_and_visibility(other.vector())[0]
+        for other in turned
+        if _count_visible(problem, other) >= 0.5 * visible
+    ]
     as_good = sum(fraction >= agreement for fraction in fractions)
-    if agreeing > 0.0 and as_good <= _CHANCE * len(fractions):
+    if agreement > 0.0 and as_good <= _CHANCE * len(fractions):
         return ""
     return (
         f"it puts the camera {apart_m:.4g} m from the LiDAR, and {agreement:.0%} of the visible "
@@ -63,7 +64,6 @@ def find_refusal(
     )
 
 
-def _count_agreeing(problem: MountCost, mount: Mount) -> tuple[float, float]:
-    """Points on a valid depth, and those of them that agree."""
-    _, _, visible, agreeing = problem.tallies_per_frame(mount.vector()).sum(axis=0)
-    return float(visible), float(agreeing)
+def _count_visible(problem: MountCost, mount: Mount) -> float:
+    """Points on a valid depth."""
+    return float(problem.tallies_per_frame(mount.vector())[:, 2].sum())

@@ -8,7 +8,7 @@ import pytest
 from fusion_core.alignment.mount import estimate_mount
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_floor import find_floor_tilt
-from fusion_core.alignment.mount_height import HeightSamples, keep_sight
+from fusion_core.alignment.mount_height import HeightSamples, _inner_minimum, keep_sight
 from fusion_core.model.rig import Mount
 from fusion_core.model.two_way_covariance import (
     correlation_length,
@@ -112,8 +112,8 @@ def test_a_mount_under_which_too_little_agrees_states_nothing(furnished_room) ->
     frames = drive(furnished_room, mount, 2)
     # Every fourth image contradicts the others.
     for index in range(0, len(frames), 4):
-        nearer_m = np.float32(0.8) * frames[index].depth_m
-        frames[index] = replace(frames[index], depth_m=nearer_m, raw_depth_m=nearer_m)
+        farther_m = np.float32(1.25) * frames[index].depth_m
+        frames[index] = replace(frames[index], depth_m=farther_m, raw_depth_m=farther_m)
     estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
     assert 0.5 < estimate.agreement < SETTINGS.min_agreement
     assert [estimate.mount.sd[index] for index in (0, 1, 2, 3, 5)] == [None] * 5
@@ -155,6 +155,15 @@ def test_walls_alone_leave_the_lidar_where_it_usually_is(box_room) -> None:
     assumed_m = LIDAR_HEIGHT_M + mount.delta_z_m - SETTINGS.assumed_lidar_height_m
     assert estimate.mount.delta_z_m == pytest.approx(assumed_m, abs=0.15)
     assert estimate.mount.sd[1] is None
+
+
+def test_costs_that_fall_at_a_bound_tell_no_height() -> None:
+    """Costs of heights x pitches: the inner minimum counts; a bound only where there is none."""
+    costs = np.array([[0.1, 0.2], [0.6, 0.5], [0.4, 0.3], [0.7, 0.6], [0.2, 0.0]])
+    assert _inner_minimum(costs.ravel(), 5) == 5
+    assert _inner_minimum(costs[::-1].ravel(), 5) == 5
+    assert _inner_minimum(np.sort(costs.ravel()), 5) == 0
+    assert _inner_minimum(-np.sort(-costs.ravel()), 5) == 9
 
 
 def test_depths_of_few_steps_state_no_exact_pitch(furnished_room) -> None:
@@ -216,11 +225,11 @@ def test_a_level_rig_is_not_rolled(furnished_room) -> None:
     mount = replace(random_mount(3), delta_z_m=0.5, pitch_rad=0.06)
     frames = drive(furnished_room, mount, 3, count=12)
     estimate = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad)
-    assert estimate.floor is not None
+    assert estimate.tilt is not None
     assert estimate.roll_rad == 0.0
     # A mount that is recorded has its roll in the camera's pose.
     known = estimate_mount(frames, SETTINGS, yaw_rad=mount.yaw_rad, recorded=mount)
-    assert known.floor is None
+    assert known.tilt is None
     assert known.roll_rad == 0.0
 
 

@@ -1,4 +1,4 @@
-"""The mount of cameras that are rolled, with and without what the floor shows of it.
+"""The mount of cameras that are rolled, with and without what floor and walls show of it.
 
     python -m tests.benchmarks.bench_roll [--seeds 8] [--first 1] [--scene furnished_room]
         [--seconds 6]
@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from fusion_core.alignment.mount import MountEstimate
-from fusion_core.alignment.mount_floor import FloorTilt
+from fusion_core.alignment.rig_tilt import RigTilt
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll
 from fusion_core.model.rig import Mount
@@ -72,7 +72,7 @@ def estimates(path: Path) -> dict[str, MountEstimate]:
     with open_recording(path) as recording:
         session = open_session(recording, FuseOptions(), PRESETS["default"])
         found = align_recording(session).estimate
-        with patch.object(FloorTilt, "is_rolled", False):
+        with patch.object(RigTilt, "is_rolled", False):
             level = align_recording(session).estimate
     assert found is not None
     assert level is not None
@@ -94,9 +94,9 @@ def main() -> None:
             truth, roll_rad = record(scene, path, seed, asked.seconds)
             found = estimates(path)
         now: dict[str, tuple[float, float]] = {}
-        floor = found["rolled"].floor
-        if floor is not None:
-            roll = np.rad2deg([floor.roll_rad - roll_rad, floor.roll_sd_rad])
+        tilt = found["rolled"].tilt
+        if tilt is not None:
+            roll = np.rad2deg([tilt.roll_rad - roll_rad, tilt.roll_sd_rad])
             now["roll"] = (float(roll[0]), float(roll[1]))
         for name, estimate in found.items():
             off = estimate.mount.vector() - truth.vector()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fusion_core.alignment.mount_refinement import fit_lines
-from fusion_core.calibration.planar.depth_patches import find_patches
 from fusion_core.calibration.planar.planar_extrinsics import PlanarPriors, PlanarProblem
 from fusion_core.calibration.planar.planar_frames import FlatFrames, ScanWithPatches
 from fusion_core.calibration.planar.planar_residuals import (
@@ -29,6 +28,7 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.polar import points_from_polar
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.patches.depth_patches import find_patches
 from tests.alignment.conftest import FURNITURE, BoxRoom
 
 LENS = CameraIntrinsics(width=160, height=120, fx=144.0, fy=144.0, cx=79.5, cy=59.5)

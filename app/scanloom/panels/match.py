@@ -129,11 +129,11 @@ def _mount_text(chain: CachedChain) -> str:
     if given is not None:
         return given_text(pose_of(chain), given.source, alignment.notes)
     estimate = alignment.estimate
-    floor = None if estimate is None else estimate.floor
+    tilt = None if estimate is None else estimate.tilt
     return mount_text(
         alignment.mount,
         alignment.notes,
-        floor_roll_rad=None if floor is None else (floor.roll_rad, floor.roll_sd_rad),
+        seen_roll_rad=None if tilt is None else (tilt.roll_rad, tilt.roll_sd_rad),
         roll_used_rad=0.0 if estimate is None else estimate.roll_rad,
         is_roll_known=estimate is None or chain.session.rig.recorded_mount is not None,
     )

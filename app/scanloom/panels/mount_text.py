@@ -64,14 +64,14 @@ def mount_text(
     mount: Mount,
     notes: Sequence[str] = (),
     *,
-    floor_roll_rad: tuple[float, float] | None = None,
+    seen_roll_rad: tuple[float, float] | None = None,
     roll_used_rad: float = 0.0,
     is_roll_known: bool = True,
 ) -> str:
     """One line for each parameter and note, as Markdown; what is not observable is named.
 
-    ``floor_roll_rad``: the roll that the floor shows and its standard deviation, unless it is known
-    from elsewhere; ``roll_used_rad``: what the camera's pose has of it.
+    ``seen_roll_rad``: the roll that floor or walls show and its standard deviation, unless it is
+    known from elsewhere; ``roll_used_rad``: what the camera's pose has of it.
     """
     lines = []
     unknown = [_UNKNOWN[name] for name in _unobserved(mount)]
@@ -82,10 +82,10 @@ def mount_text(
         value = getattr(mount, name) * factor
         number = f"**{' ± '.join(with_deviation(abs(value), sd * factor))}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
-    if floor_roll_rad is None and not is_roll_known:
+    if seen_roll_rad is None and not is_roll_known:
         unknown.append("how far it is rolled")
-    elif floor_roll_rad is not None:
-        roll_deg, sd_deg = np.rad2deg(floor_roll_rad)
+    elif seen_roll_rad is not None:
+        roll_deg, sd_deg = np.rad2deg(seen_roll_rad)
         level = ", taken as level" if roll_used_rad == 0.0 else ""
         number = " ± ".join(with_deviation(roll_deg, sd_deg))
         lines.append(f"- It is rolled **{number}°**{level}.")

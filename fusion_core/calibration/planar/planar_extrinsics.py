@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.calibration.planar.level_start import find_up, turn_level
+from fusion_core.calibration.planar.level_start import turn_level
 from fusion_core.calibration.planar.patch_noise import PatchNoise
 from fusion_core.calibration.planar.planar_frames import FlatFrames, ScanWithPatches
 from fusion_core.calibration.planar.planar_residuals import (
@@ -37,6 +37,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.robust import welsch_weight
 from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
+from fusion_core.patches.up_direction import find_up
 
 # So long the place in the LiDAR's plane moves alone; then so long the noise is learned as well.
 _IN_PLANE_ITERATIONS = 5

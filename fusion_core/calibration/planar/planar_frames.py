@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from fusion_core.calibration.planar.depth_patches import DepthPatches
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.patches.depth_patches import DepthPatches
+from fusion_core.patches.inside_surfaces import find_inside
 
 FRAME_KEY = 10.0
 """More than a full turn: beams of different frames are this far apart."""
@@ -18,16 +19,6 @@ _NEIGHBOURS = 8
 # same way. Beyond a corner the other wall is near the line, too, always on one side of it.
 _SAME_LINE_M = 0.05
 _SAME_LINE_COSINE = float(np.cos(np.deg2rad(3.0)))
-# The noise of depths is learned in bins of so many patches, from the quantile that is surely of
-# clean planes; those count that spread up to so many times as much.
-_PER_BIN = 500
-_CLEAN = 0.3
-_NOISE_FACTOR = 1.25
-# Patches of one surface: cosine between their normals, and a step between them besides the noise.
-_SAME_NORMAL = float(np.cos(np.deg2rad(10.0)))
-_STEP_M = 0.005
-# A hole or the image's border may stand for one of the four neighbours.
-_LEAST_NEIGHBOURS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,17 +74,8 @@ class FlatFrames:
         """Concatenates the frames, with at most some ``patches_max`` patches of each, evenly spread
         over those inside a surface."""
         sizes = [frame.patches.pixel.size for frame in frames]
-        flat = is_flat(
-            np.concatenate([frame.patches.points_m[:, 2] for frame in frames]),
-            np.concatenate([frame.patches.spread_m for frame in frames]),
-        )
         first = np.cumsum([0, *sizes])
-        flat = np.concatenate(
-            [
-                is_interior(frame.patches, flat[first[n] : first[n + 1]])
-                for n, frame in enumerate(frames)
-            ]
-        )
+        flat = np.concatenate(find_inside([frame.patches for frame in frames]))
         flat &= _evenly(flat, first, patches_max)
         return cls(
             beam_key=np.concatenate(
@@ -114,20 +96,6 @@ class FlatFrames:
         )
 
 
-def is_flat(depth_m: FloatArray, spread_m: FloatArray) -> BoolArray:
-    """(N,) whether the pixels of patches spread no more than the depth's noise.
-
-    At each depth the lower part of the patches is on clean planes, and shows the noise. What
-    spreads more holds the edge of something, such as the foot of a wall, always on one side.
-    """
-    flat = np.zeros(depth_m.size, dtype=bool)
-    order = np.argsort(depth_m, kind="stable")
-    for part in np.array_split(order, max(1, depth_m.size // _PER_BIN)):
-        if part.size:
-            flat[part] = spread_m[part] <= _NOISE_FACTOR * np.quantile(spread_m[part], _CLEAN)
-    return flat
-
-
 def _evenly(chosen: BoolArray, first: IntArray, most: int) -> BoolArray:
     """(N,) at most some ``most`` of the chosen between each two of ``first``."""
     kept = np.zeros(chosen.size, dtype=bool)
@@ -136,28 +104,6 @@ def _evenly(chosen: BoolArray, first: IntArray, most: int) -> BoolArray:
         if own.size:
             kept[own[np.linspace(0, own.size - 1, min(own.size, most)).astype(np.int64)]] = True
     return kept
-
-
-def is_interior(patches: DepthPatches, flat: BoolArray) -> BoolArray:
-    """(N,) whether a flat patch is inside a surface: those above, below and on both sides go
-    on with it. At an edge the pixels beyond it bend a patch, always to the same side."""
-    rows, columns = patches.cell.max(axis=0, initial=0) + 3
-    number = np.full((rows, columns), -1)
-    row, column = patches.cell.T + 1
-    own = np.arange(flat.size)
-    number[row, column] = own
-    going_on = np.zeros(own.size, dtype=np.int64)
-    ending = np.zeros(own.size, dtype=bool)
-    for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        other = number[row + down, column + right]
-        apart = patches.points_m[other] - patches.points_m[own]
-        off = np.abs((patches.normals[own] * apart).sum(axis=1))
-        turn = (patches.normals[own] * patches.normals[other]).sum(axis=1)
-        is_same = (turn > _SAME_NORMAL) & (off < patches.spread_m[own] + _STEP_M)
-        ending |= (other >= 0) & ~is_same
-        going_on += (other >= 0) & is_same
-    interior: BoolArray = flat & ~ending & (going_on >= _LEAST_NEIGHBOURS)
-    return interior
 
 
 def _line_offsets_m(frame: ScanWithPatches) -> FloatArray:

@@ -4,12 +4,12 @@ import numpy as np
 
 from fusion_core.alignment.mount_refinement import fit_lines
 from fusion_core.alignment.scan_motion import ScanMotion, estimate_motion
-from fusion_core.calibration.planar.depth_patches import find_patches
 from fusion_core.calibration.planar.planar_frames import ScanWithPatches
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.polar import points_from_polar
 from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import LaserScan
+from fusion_core.patches.depth_patches import find_patches
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
 

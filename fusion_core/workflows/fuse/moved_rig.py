@@ -101,7 +101,7 @@ def align_moved(
             is_confirmed=True,
             contradictions=(),
             moved_from_given="",
-            floor=None,
+            tilt=None,
         )
     panorama = alignment.panorama
     if panorama is not None:

@@ -242,14 +242,14 @@ def _mount_entries(mount: Mount) -> dict[str, float | None]:
 
 
 def _roll_entries(rig: CameraRig, estimate: MountEstimate | None) -> dict[str, float | None]:
-    """The rig's roll as the floor shows it, null where not observable, and what the cameras' poses
-    have of it; nothing where transforms are known, whose roll those poses have."""
+    """The rig's roll as floor or walls show it, null where not observable, and what the cameras'
+    poses have of it; nothing where transforms are known, whose roll those poses have."""
     if estimate is None or rig.known_mount is not None:
         return {}
-    floor = estimate.floor
+    tilt = estimate.tilt
     return {
-        "roll_rad": None if floor is None else floor.roll_rad,
-        "roll_rad_sd": None if floor is None else floor.roll_sd_rad,
+        "roll_rad": None if tilt is None else tilt.roll_rad,
+        "roll_rad_sd": None if tilt is None else tilt.roll_sd_rad,
         "roll_used_rad": estimate.roll_rad,
     }
 

@@ -10,7 +10,7 @@ from scanloom.state.view import View
 from tests.app.browser.person import match_of
 
 # In this frame of the recording, beams and pixels are of all classes.
-NUMBER = 8
+NUMBER = 12
 # More than any picture needs: its width alone decides.
 _ROOM_PX = 1000
 

@@ -78,7 +78,7 @@ def test_transforms_that_are_known_keep_their_roll(rolled) -> None:
         alignment = align_recording(known)
     assert alignment.on_rig(known) is known
     assert alignment.estimate is not None
-    assert alignment.estimate.floor is None
+    assert alignment.estimate.tilt is None
 
 
 def test_the_workbench_says_how_far_the_camera_is_rolled(rolled) -> None:
@@ -87,12 +87,12 @@ def test_the_workbench_says_how_far_the_camera_is_rolled(rolled) -> None:
         session = open_session(recording, FuseOptions(), PRESETS["default"])
         estimate = align_recording(session).estimate
     assert estimate is not None
-    floor = estimate.floor
-    assert floor is not None
-    seen = (floor.roll_rad, floor.roll_sd_rad)
+    tilt = estimate.tilt
+    assert tilt is not None
+    seen = (tilt.roll_rad, tilt.roll_sd_rad)
     text = mount_text(
         estimate.mount,
-        floor_roll_rad=seen,
+        seen_roll_rad=seen,
         roll_used_rad=estimate.roll_rad,
         is_roll_known=False,
     )
@@ -100,6 +100,6 @@ def test_the_workbench_says_how_far_the_camera_is_rolled(rolled) -> None:
     assert degrees[0] == pytest.approx(np.rad2deg(roll_rad), abs=0.05)
     assert f"It is rolled **{' ± '.join(with_deviation(*degrees))}°**" in text
     assert "taken as level" not in text
-    assert "taken as level" in mount_text(estimate.mount, floor_roll_rad=(0.0, 1e-3))
+    assert "taken as level" in mount_text(estimate.mount, seen_roll_rad=(0.0, 1e-3))
     assert "how far it is rolled" in mount_text(estimate.mount, is_roll_known=False)
     assert "rolled" not in mount_text(estimate.mount)

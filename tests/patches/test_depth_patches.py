@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fusion_core.calibration.planar.depth_patches import find_patches
-from fusion_core.calibration.planar.planar_frames import is_flat, is_interior
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.patches.depth_patches import find_patches
+from fusion_core.patches.inside_surfaces import is_flat, is_interior
 
 LENS = CameraIntrinsics(width=160, height=120, fx=144.0, fy=144.0, cx=79.5, cy=59.5)
 

@@ -1,0 +1,1 @@
+"""Small plane patches of depth images: points of surfaces with normals, and the up they show."""
