@@ -61,6 +61,7 @@ APP_LEVELS: tuple[set[str], ...] = (
     {"page"},
     {"frame_view"},
     {"scene"},
+    {"page_parts"},
     {"client_session"},
     {"panels.widgets"},
     {"panels"},

@@ -6,11 +6,11 @@ to the panels. A failure is shown as a notification, and the session goes on.
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
@@ -20,16 +20,14 @@ from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
-from scanloom.page.events import ToolName
 from scanloom.page.layout import FIRST_WINDOW_PX
+from scanloom.page_parts import Panel, Review
 from scanloom.scene.sample_readout import linked
 from scanloom.state.hand_pose import HandPose
 from scanloom.state.history import PASSING_FRAMES, History
 from scanloom.state.hover import Hover
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
-from scanloom.state.review_choices import Answer
-from scanloom.state.review_overlay import ReviewOverlay
 from scanloom.state.view import View
 
 if TYPE_CHECKING:
@@ -46,69 +44,6 @@ _MAX_DISPLAY_INTERVAL_S = 0.1
 _CLOSE_TIMEOUT_S = 3.0
 # What sliders change beside settings.
 _DRAGGED = ("frame_index", "slam")
-
-
-class Panel(Protocol):
-    """A part of the page. ``scanloom.panels.registry`` says how to add one."""
-
-    def show(self, frame_view: FrameView) -> None:
-        """Display a computed view; called in the session's worker thread.
-
-        Set all widgets from ``frame_view.view``: it may come from a link, from undo, or from
-        another panel.
-        """
-
-    def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
-        """Light up the sample under the pointer. By default nothing is."""
-        return
-
-    def show_progress(self, frame_view: FrameView) -> None:
-        """Display how far the alignment is; all else is as ``show`` had it. By default nothing
-        does."""
-        return
-
-    def close(self) -> None:
-        """End the panel's background work. By default there is none."""
-        return
-
-
-class Review(Protocol):
-    """The review of labels in one browser."""
-
-    @property
-    def is_on(self) -> bool:
-        """Whether keys and clicks are about labels now."""
-        ...
-
-    def undo(self) -> None:
-        """Take back the last label."""
-        ...
-
-    def redo(self) -> None:
-        """Give it again."""
-        ...
-
-    def go(self, direction: int) -> None:
-        """To the next run, or to the previous one for -1."""
-        ...
-
-    def answer(self, answer: Answer) -> None:
-        """Say what the marked samples are."""
-        ...
-
-    def draw(
-        self, tool: ToolName, places: Sequence[tuple[float, float]], *, is_added: bool
-    ) -> None:
-        """Mark pixels of the upright depth image, drawn at (column, row)."""
-        ...
-
-    def mark_beams(self, beams: Sequence[int], *, is_added: bool) -> None:
-        """Mark beams of the displayed scan."""
-        ...
-
-    def overlay(self, frame_view: FrameView) -> ReviewOverlay | None:
-        """What a frame shows of it."""
-        ...
 
 
 class ClientSession:

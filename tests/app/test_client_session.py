@@ -17,8 +17,9 @@ from fusion_core.model.errors import AlignmentFailed, RecordingError
 from fusion_core.workflows.fuse.cached_chain import FrameChoice
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.settings import PRESETS
-from scanloom.client_session import STORED_VIEW, ClientSession, Panel
+from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.frame_view import FrameView, compute_frame_view
+from scanloom.page_parts import Panel
 from scanloom.resources import sample_path
 from scanloom.state import open_recording as open_recording_module
 from scanloom.state.library import Library

@@ -5,9 +5,9 @@ import html
 
 import viser
 
-from scanloom.client_session import Panel
 from scanloom.frame_view import FrameView, alignment_progress_text, failure_summary
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 
 _BOX = "padding:0.3em 0.8em 0.5em;font-size:0.85em;overflow-wrap:anywhere"
 # Grey on any ground: the page may be light or dark.

@@ -1,10 +1,11 @@
 """The page's parts placed and sized for the browser's window."""
 
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import Screen
 from scanloom.page.layout import PageLayout, PageSizes, page_sizes
+from scanloom.page_parts import Panel
 from scanloom.panels.pictures import DepthImagePanel, SimilarityPanel
 from scanloom.panels.profile import ProfilePanel
 from scanloom.panels.timeline import TimelinePanel

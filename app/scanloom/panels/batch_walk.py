@@ -5,10 +5,11 @@ from collections.abc import Callable
 
 import viser
 
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.batch_html import walk_html
 from scanloom.state.batch_list import BatchWalk
 

@@ -12,12 +12,13 @@ from fusion_core.model.conventions import ByteArray, Float32Array
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.workflows.fuse.color_of_frame import remap_color
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.jobs.save_pose import estimate_of, save_pose
 from scanloom.page.bridge import PageBridge
 from scanloom.page.markup import paragraph, text_box
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.cloud_calibration import CloudCalibration
 from scanloom.panels.command_line import view_command
 from scanloom.panels.natural_calibration import NaturalCalibration

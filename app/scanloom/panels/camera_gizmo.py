@@ -9,9 +9,10 @@ import viser
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.geometry import make_transform, rotation_from_quaternion
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.jobs.ordered_calls import OrderedCalls
+from scanloom.page_parts import Panel
 from scanloom.scene.geometry import quaternion
 from scanloom.state.hand_pose import HandPose
 from scanloom.state.history import GESTURE

@@ -7,10 +7,11 @@ import viser
 
 from fusion_core.model.names import printable
 from fusion_core.workflows.fuse.settings import PresetName
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.help import keys_text
 from scanloom.state.hand_pose import HandPose

@@ -18,7 +18,7 @@ from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.export_clouds import CloudExport
 from fusion_core.workflows.map.result_folder import TrajectoryPoses
 from fusion_core.workflows.recorded_poses import PoseLookup
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, given_extrinsics
 from scanloom.jobs.build import (
     Build,
@@ -32,6 +32,7 @@ from scanloom.jobs.build import (
 )
 from scanloom.page.markup import paragraph, report_line, text_box
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.command_line import fuse_command
 from scanloom.panels.slam import SlamPanel
 from scanloom.panels.visual_stage import VisualStage

@@ -5,10 +5,11 @@ import viser
 
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_match import FrameMatch, curves_at
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.markup import escape_markdown
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.mount_text import given_text, mount_text
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.line_plot import (

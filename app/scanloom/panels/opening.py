@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import viser
 
 from fusion_core.model.errors import RecordingError, ScanLoomError
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, as_failure
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.recording_opener import RecordingOpener
 from scanloom.page.bridge import PageBridge, script_html
 from scanloom.page.browser_storage import Answers, request_items
+from scanloom.page_parts import Panel
 from scanloom.panels.batch_html import batch_html
 from scanloom.panels.batch_walk import BatchWalkPanel
 from scanloom.panels.opening_html import (

@@ -4,13 +4,14 @@ import viser
 
 from fusion_core.workflows.fuse.cached_chain import mean_field_around
 from fusion_core.workflows.fuse.frame_match import FrameMatch
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind, Stroke
 from scanloom.page.live_picture import LivePicture, MarkKind, PictureMark
 from scanloom.page.markup import caption
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.frame_readout import frame_name
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, dock_depth_picture
 from scanloom.plots.heatmap import Heatmap, heatmap

@@ -3,11 +3,12 @@
 import viser
 
 from fusion_core.model.sensors import LaserScan
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind, Stroke
 from scanloom.page.live_picture import LivePicture, PictureMark
+from scanloom.page_parts import Panel
 from scanloom.plots.range_profile import RangeProfile, range_profile, scan_profile
 from scanloom.plots.theme import theme_of
 from scanloom.scene.sample_readout import readout_text

@@ -5,9 +5,10 @@ import viser
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.workflows.info import describe_recording
 from fusion_core.workflows.stream_gaps import stream_gaps
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.depth_cameras import DepthCameras
 from scanloom.panels.pairing_plot import PairingPlot
 from scanloom.panels.stream_table import stream_table

@@ -13,10 +13,11 @@ from fusion_core.workflows.fuse.registration_details import (
     draw_at,
     planar_pairs,
 )
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.markup import escape_markdown
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
 from scanloom.panels.recall import RecallPanel

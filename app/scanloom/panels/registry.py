@@ -7,8 +7,8 @@ To add a panel:
 2. Write ``app/scanloom/panels/<name>.py``. Numbers come from the workflows or from a function in
    ``app/scanloom/scene/``, here ``range_histogram(scan) -> (range_m, beams)``::
 
-    from scanloom.client_session import Panel
     from scanloom.frame_view import FrameView
+    from scanloom.page_parts import Panel
     from scanloom.plots.line_plot import (
         PlotLabels, add_line_plot, line, set_limits, whole_limits
     )
@@ -46,9 +46,10 @@ from pathlib import Path
 
 import viser
 
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.page.bridge import PageBridge
 from scanloom.page.layout import PageLayout
+from scanloom.page_parts import Panel
 from scanloom.panels.alignment_bar import AlignmentBar
 from scanloom.panels.arrangement import ArrangementPanel
 from scanloom.panels.batch_walk import BatchWalkPanel

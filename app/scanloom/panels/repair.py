@@ -7,9 +7,10 @@ import viser
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
 from scanloom.panels.widgets.controls import Controls

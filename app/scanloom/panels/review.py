@@ -9,12 +9,13 @@ import viser
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.labels.open_store import checked_name
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, survey_inputs
 from scanloom.page.bridge import PageBridge
 from scanloom.page.browser_storage import Answers, request_items
 from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.agreement import AgreementControls
 from scanloom.panels.explanation import explain_beam_class, explain_pixel_class
 from scanloom.panels.known_answers import KnownAnswersControls

@@ -16,10 +16,11 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.recorded_poses import PoseLookup
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
+from scanloom.page_parts import Panel
 from scanloom.panels.scene_legend import SceneLegend
 from scanloom.panels.scene_viewpoint import VIEWS, SceneViewpoint, Subject
 from scanloom.panels.visual_stage import VisualStage

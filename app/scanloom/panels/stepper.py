@@ -5,10 +5,11 @@ from collections.abc import Mapping
 
 import viser
 
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.verdict_html import verdict_html
 from scanloom.panels.widgets.help import help_text
 from scanloom.scene.verdict import verdict_of

@@ -6,13 +6,14 @@ from functools import partial
 
 import viser
 
-from scanloom.client_session import ClientSession, Panel
+from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, is_blind, survey_inputs
 from scanloom.jobs.playback import Playback
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
 from scanloom.page.live_picture import LivePicture, PictureMark
 from scanloom.page.update_widget import update_widget
+from scanloom.page_parts import Panel
 from scanloom.panels.frame_readout import frame_text, progress_text
 from scanloom.panels.timeline_html import PRESS, SPEEDS, RowState, line_html, row_html
 from scanloom.panels.widgets.controls import Controls
