@@ -29,8 +29,8 @@ MIN_POINTS = 100
 """From fewer LiDAR points nothing is concluded: an agreement of one half is then known to 10 % (two
 standard deviations)."""
 
-PLACE_RAD = float(np.deg2rad(5.0))
-"""A place along the curve: what one piece of furniture or of wall takes up."""
+# A place along the curve: what one piece of furniture or of wall takes up.
+_PLACE_RAD = float(np.deg2rad(5.0))
 
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
@@ -175,12 +175,9 @@ class MountCost:
         return headings
 
     def places(self) -> IntArray:
-        """(N,) the direction of each point in the room, in steps of PLACE_RAD: by the turn rates,
-        from the first frame on. A robot that drives sees a place move on slowly."""
-        x, y = self.points.T
-        azimuths_rad = self.headings_rad()[self.frame_of_point] + np.arctan2(y, x)
-        place: IntArray = np.floor(azimuths_rad / PLACE_RAD).astype(np.int64)
-        return place
+        """(N,) of all points, by the turn rates, from the first frame on. A robot that drives sees
+        a place move on slowly."""
+        return places_of(self.headings_rad()[self.frame_of_point], self.points)
 
     def is_in_front(self, values: FloatArray) -> BoolArray:
         """(N,) whether a point lies between the left and the right of its image."""
@@ -262,9 +259,22 @@ class MountCost:
         """Fraction of the points on valid depth that agree, where one that something nearer may
         occlude counts as ``occlusion_cost`` of one that is contradicted; and fraction of the points
         in front of a camera that fall on valid depth."""
-        _, in_front, on_depth, agreeing, hidden = self.tallies_per_frame(values).sum(axis=0)
+        totals = self.tallies_per_frame(values).sum(axis=0)
+        return self.agreement_of(totals), float(totals[2] / max(totals[1], 1.0))
+
+    def agreement_of(self, totals: FloatArray) -> float:
+        """The first of these by the sums (5,) of a mount's tallies."""
+        _, _, on_depth, agreeing, hidden = totals
         compared = on_depth - (1.0 - self._settings.occlusion_cost) * hidden
-        return float(agreeing / max(compared, 1.0)), float(on_depth / max(in_front, 1.0))
+        return float(agreeing / max(compared, 1.0))
+
+
+def places_of(headings_rad: FloatArray, points_m: FloatArray) -> IntArray:
+    """(N,) the direction in the room of points (N, 2 or 3) that a robot sees at (N,) headings, in
+    steps of 5 degrees."""
+    azimuths_rad = headings_rad + np.arctan2(points_m[:, 1], points_m[:, 0])
+    place: IntArray = np.floor(azimuths_rad / _PLACE_RAD).astype(np.int64)
+    return place
 
 
 def turn_points(vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:

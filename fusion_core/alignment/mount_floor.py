@@ -11,7 +11,7 @@ from itertools import product
 import cv2
 import numpy as np
 
-from fusion_core.alignment.mount_cost import PLACE_RAD
+from fusion_core.alignment.mount_cost import places_of
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.rig_tilt import RigTilt, images_for_tilt
@@ -102,8 +102,7 @@ def _fit_floor(
     off = (inverse[near] - rays[near] @ plane) / scale[near] / noise
     design = design / noise
     scores = off[:, None] * design
-    azimuth_rad = headings_rad[frame[near]] + np.arctan2(rays[near, 1], rays[near, 0])
-    place = np.floor(azimuth_rad / PLACE_RAD).astype(np.int64)
+    place = places_of(headings_rad[frame[near]], rays[near])
     # The depths of a row have the rounding of their disparity in common, whatever their direction.
     row = np.concatenate([view.row for view in views])[near]
     covariance = two_way_covariance(

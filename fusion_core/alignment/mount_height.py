@@ -4,7 +4,8 @@ or under.
 A grid of both is scored by the agreement of points and depth, with the sight line held: the camera
 moves forward or back so that upright surfaces keep their place. As in the wide search, a point
 above or below the image, or on a hole, is dear: of the heights that explain a recording, the one
-that shows most of it is used.
+that shows most of it is used. Costs that still fall at an end of the heights tell none: then it is
+the best within.
 
 That says nothing of how well the height is known: walls alone would state the one that brings most
 of them into the image. So the deviations come from a cost in which a point that cannot be compared
@@ -36,7 +37,8 @@ class HeightSamples:
 
     ``best``: (6,) the mount to use. ``least``: (6,) the one of the least cost where what cannot be
     compared is not dear; ``mounts``: (B, 6) that of each replicate. ``is_height_known``: whether
-    ``best`` is not at the end of the heights, and there are places to draw from: one has no spread.
+    the costs do not fall to an end of the heights, and there are places to draw from: one has no
+    spread.
     ``range_m``: the median distance ahead of the points between the sides of the images, at which
     the sight line was held.
     """
@@ -116,22 +118,23 @@ def sample_heights(
     tallies = np.array([problem.tallies_per_group(one, group, places)[:, :3] for one in mounts])
     costs, counts, on_depth = np.moveaxis(tallies, -1, 0)
     total, own_prior = np.maximum(counts.sum(axis=1), 1.0), prior_cost(priors)
-    dear = costs.sum(axis=1) / total + own_prior
-    usual_cost = _usual_cost(tallies[dear.argmin()], problem.no_depth_cost)
+    mean_costs = costs.sum(axis=1) / total + own_prior
+    usual_cost = _usual_cost(tallies[mean_costs.argmin()], problem.no_depth_cost)
     costs = costs + (counts - on_depth) * (usual_cost - problem.no_depth_cost)
     rng = np.random.default_rng(_SEED)
     samples = []
     for _ in range(_REPLICATES):
         weight = rng.multinomial(places, np.full(places, 1.0 / places))
         mean = costs @ weight / np.maximum(counts @ weight, 1.0)
-        samples.append(mounts[(mean + prior_cost(priors.with_drawn_height(rng))).argmin()])
+        drawn = priors.with_drawn_height_and_pitch(rng)
+        samples.append(mounts[(mean + prior_cost(drawn)).argmin()])
     least = (costs.sum(axis=1) / total + own_prior).argmin()
     return HeightSamples(
-        best=mounts[_inner_minimum(dear, heights_m.size)],
+        best=mounts[_inner_minimum(mean_costs, heights_m.size)],
         least=mounts[least],
         mounts=np.array(samples),
         is_height_known=places > 1
-        and mounts[dear.argmin(), 1] not in (heights_m[0], heights_m[-1]),
+        and mounts[mean_costs.argmin(), 1] not in (heights_m[0], heights_m[-1]),
         range_m=range_m,
     )
 

@@ -27,7 +27,8 @@ class MountSettings(StageSettings):
     )
     occlusion_cost: float = setting(
         0.6,
-        "Cost of a LiDAR point that something nearer may occlude (1: depth beyond the point)",
+        "Cost of a LiDAR point that something nearer may occlude, in parts of that of one with "
+        "depth beyond it; where agreement is counted, too",
         ge=0.0,
         le=1.0,
         formerly="nearer_cost",
@@ -150,7 +151,7 @@ class MountPriors:
         squares: FloatArray = z**2
         return squares
 
-    def with_drawn_height(self, rng: np.random.Generator) -> "MountPriors":
+    def with_drawn_height_and_pitch(self, rng: np.random.Generator) -> "MountPriors":
         """The same around a height and a pitch that are drawn from them."""
         draw = np.zeros(self.sd.size)
         draw[[1, 4]] = rng.normal(size=2)

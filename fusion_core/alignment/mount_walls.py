@@ -9,11 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import PLACE_RAD
+from fusion_core.alignment.mount_cost import places_of
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.rig_tilt import RigTilt, images_for_tilt
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.robust import MAD_TO_SIGMA
 from fusion_core.model.two_way_covariance import (
     frame_blocks,
     shared_grouping,
@@ -28,8 +29,6 @@ _LEAN_MAX = float(np.sin(np.deg2rad(15.0)))
 # Residuals beyond this many standard deviations are of something else.
 _OUTLIER_SD = 3.0
 _ITERATIONS = 12
-# The standard deviation of normal values, by the median of their sizes.
-_SD_PER_MEDIAN = 1.4826
 # Of depths that are stored in single precision.
 _LEAST_NOISE = float(np.finfo(np.float32).eps)
 _LEVEL = np.array([0.0, 0.0, 1.0])
@@ -43,25 +42,8 @@ def find_wall_tilt(
     ``headings_rad``: (F,) of the LiDAR at each frame. About an axis that no wall shows, the rig is
     level within ``prior_pitch_sd_deg``.
     """
-    chosen = images_for_tilt(len(frames))
-    cameras = [frames[index].camera for index in chosen]
-    images = [
-        find_patches(frames[index].raw_depth_m, frames[index].camera.intrinsics) for index in chosen
-    ]
-    inside = find_inside(images)
-    turns = [camera.T_rig_camera[:3, :3].T for camera in cameras]
-    normals, points_m = (
-        np.concatenate(
-            [values[own] @ turn for values, own, turn in zip(each, inside, turns, strict=True)]
-        )
-        for each in ([one.normals for one in images], [one.points_m for one in images])
-    )
-    depth_m = np.concatenate(
-        [one.points_m[own, 2] for one, own in zip(images, inside, strict=True)]
-    )
-    frame = np.repeat(list(chosen), [int(own.sum()) for own in inside])
-    azimuth_rad = headings_rad[frame] + np.arctan2(points_m[:, 1], points_m[:, 0])
-    place = np.floor(azimuth_rad / PLACE_RAD).astype(np.int64)
+    frame, depth_m, normals, points_m = _patches_inside_surfaces(frames)
+    place = places_of(headings_rad[frame], points_m)
     up = find_up(normals, _LEVEL)
     near = np.abs(normals @ up) < _LEAN_MAX
     if not near.any() or up[2] <= 0.0:
@@ -70,7 +52,7 @@ def find_wall_tilt(
     # the square of that: the noise of its normal in proportion.
     x_y = up[:2] / up[2]
     off = (normals[:, :2] @ x_y + normals[:, 2]) / depth_m
-    noise = max(_LEAST_NOISE, _SD_PER_MEDIAN * float(np.median(np.abs(off[near]))))
+    noise = max(_LEAST_NOISE, MAD_TO_SIGMA * float(np.median(np.abs(off[near]))))
     prior = np.eye(2) / np.deg2rad(settings.prior_pitch_sd_deg) ** 2
     for _ in range(_ITERATIONS):
         near = np.abs(off) < _OUTLIER_SD * noise
@@ -104,6 +86,27 @@ def find_wall_tilt(
         roll_sd_rad=float(np.sqrt(covariance[1, 1]) / across**2),
         height_m=None,
     )
+
+
+def _patches_inside_surfaces(
+    frames: Sequence[MountObservation],
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Of N patches: frame and depth, (N,); normal, and point from the camera on, (N, 3) along the
+    rig's axes."""
+    chosen = images_for_tilt(len(frames))
+    cameras = [frames[index].camera for index in chosen]
+    images = [
+        find_patches(frames[index].raw_depth_m, camera.intrinsics)
+        for index, camera in zip(chosen, cameras, strict=True)
+    ]
+    parts = []
+    for index, camera, image, own in zip(chosen, cameras, images, find_inside(images), strict=True):
+        turn = camera.T_rig_camera[:3, :3].T
+        points_m = image.points_m[own]
+        frame = np.full(points_m.shape[0], index)
+        parts.append((frame, points_m[:, 2], image.normals[own] @ turn, points_m @ turn))
+    frame, depth_m, normals, points_m = map(np.concatenate, zip(*parts, strict=True))
+    return frame, depth_m, normals, points_m
 
 
 def _sums_over_root_count(values: FloatArray, label: IntArray) -> tuple[IntArray, FloatArray]:

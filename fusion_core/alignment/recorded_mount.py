@@ -6,7 +6,7 @@ import numpy as np
 
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_settings import MountSettings
-from fusion_core.model.conventions import wrap_angle
+from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.rig import Mount
 
 # Tolerance between a recorded yaw and that of the rows; set by hand.
@@ -28,7 +28,8 @@ def find_refusal(
     many agree with the same camera turned elsewhere. A camera that hardly sees the LiDAR's plane,
     with fewer than MIN_POINTS on a valid depth, is not tested.
     """
-    agreement, _ = problem.agreement_and_visibility(recorded.vector())
+    totals = _totals(problem, recorded)
+    agreement = problem.agreement_of(totals)
     if agreement >= settings.min_agreement:
         return ""
     if yaw_rad is not None:
@@ -44,16 +45,14 @@ def find_refusal(
             f"it puts the camera {apart_m:.4g} m from the LiDAR, which sees no farther than "
             f"{problem.max_range_m:.4g} m"
         )
-    visible = _count_visible(problem, recorded)
+    visible = totals[2]
     if visible < MIN_POINTS:
         return ""
-    turned = [replace(recorded, yaw_rad=recorded.yaw_rad + turn) for turn in _TURNS_RAD]
-    # A camera that is turned to where the LiDAR is blind cannot be compared.
-    fractions = [
-        problem.agreement_and_visibility(other.vector())[0]
-        for other in turned
-        if _count_visible(problem, other) >= 0.5 * visible
+    turned = [
+        _totals(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn)) for turn in _TURNS_RAD
     ]
+    # A camera that is turned to where the LiDAR is blind cannot be compared.
+    fractions = [problem.agreement_of(other) for other in turned if other[2] >= 0.5 * visible]
     as_good = sum(fraction >= agreement for fraction in fractions)
     if agreement > 0.0 and as_good <= _CHANCE * len(fractions):
         return ""
@@ -64,6 +63,7 @@ def find_refusal(
     )
 
 
-def _count_visible(problem: MountCost, mount: Mount) -> float:
-    """Points on a valid depth."""
-    return float(problem.tallies_per_frame(mount.vector())[:, 2].sum())
+def _totals(problem: MountCost, mount: Mount) -> FloatArray:
+    """(5,) tallies of a mount over all frames."""
+    totals: FloatArray = problem.tallies_per_frame(mount.vector()).sum(axis=0)
+    return totals

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.robust import MAD_TO_SIGMA
 
 # Tukey's biweight: 95 % efficient for Gaussian noise.
 _TUKEY = 4.685
-_MAD_TO_SD = 1.4826
 _SQUARES_MIN = 10
 _FULL_SQUARE = 4
 # Plaster is no flatter.
@@ -56,7 +56,7 @@ def fit_wall(
     inliers = residual_m < max(3.0 * squares.scatter_m, 0.01)
     if not inliers.any():
         return None
-    scatter_m = float(_MAD_TO_SD * np.median(residual_m[inliers]))
+    scatter_m = float(MAD_TO_SIGMA * np.median(residual_m[inliers]))
     return Wall(
         offset_m=float(plane[0]),
         slope=(float(plane[1]), float(plane[2])),
@@ -105,7 +105,7 @@ def _squares(along_m: FloatArray, across_m: FloatArray, cell_m: float) -> _Squar
     deviation_m = np.abs(along_m - medians_m[cell])
     if is_full.sum() < _SQUARES_MIN:
         deviation_m, is_full = np.abs(along_m - np.median(along_m)), np.ones(len(cell), np.bool_)
-    scatter_m = float(_MAD_TO_SD * np.median(deviation_m[is_full]))
+    scatter_m = float(MAD_TO_SIGMA * np.median(deviation_m[is_full]))
     return _Squares(
         medians_m=np.asarray(medians_m, dtype=np.float64),
         centres_m=np.stack(sums, axis=1) / counts[:, np.newaxis],

@@ -33,7 +33,7 @@ def test_heights_are_drawn_from_what_is_held_of_them() -> None:
     """Half of the draws on each side, each half as wide as its own deviation."""
     rng = np.random.default_rng(0)
     held = MountPriors.without_recorded(0.3, SETTINGS).with_height(0.4, 0.2, 1.0)
-    drawn = np.array([held.with_drawn_height(rng).centre for _ in range(4000)])
+    drawn = np.array([held.with_drawn_height_and_pitch(rng).centre for _ in range(4000)])
     off = drawn - held.centre
     assert (off[:, [0, 2, 3, 5]] == 0.0).all()
     above = off[:, 1] > 0.0

@@ -2,29 +2,11 @@
 
 import numpy as np
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion_core.calibration.planar.level_start import turn_level
 from fusion_core.model.geometry import invert_transform, make_transform
-
-seeds = st.integers(0, 2**31)
-# As far as a guess may be tilted.
-MOST_RAD = np.deg2rad(12.0)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def tilted(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
-    axis = unit(np.cross(up, rng.normal(size=3)))
-    turned: np.ndarray = Rotation.from_rotvec(rng.uniform(0.0, MOST_RAD) * axis).apply(up)
-    return turned
-
-
-def random_frame(rng: np.random.Generator) -> np.ndarray:
-    return Rotation.random(random_state=rng).as_matrix()
+from tests.patches.test_up_direction import random_frame, seeds, tilted
 
 
 @given(seeds)
