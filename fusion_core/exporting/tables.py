@@ -90,7 +90,7 @@ class ParquetTable:
         self._path = path
         self._schema = pa.schema(list(schema.items()), metadata=metadata)
         self._rows_per_group = rows_per_group
-        self._pending: list[Any] = []
+        self._pending: list[Mapping[str, npt.NDArray[Any]]] = []
         self._pending_rows = 0
         self._stack = ExitStack()
 
@@ -106,29 +106,36 @@ class ParquetTable:
         return self
 
     def append(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Add rows: one array of equal length for each column.
+        """Add rows: one array of equal length for each column, with the same kind of values in
+        every call. The arrays are kept until their row group is written.
 
-        Raises ValueError for missing or unknown columns, unequal lengths, or values that the
-        column's type cannot hold.
+        Raises ValueError for missing or unknown columns, or unequal lengths; for values that the
+        column's type cannot hold when they are written, at the end of the ``with`` block at last.
         """
-        import pyarrow as pa
-
         names = self._schema.names
         if columns.keys() != set(names):
             raise ValueError(f"columns and schema differ in {sorted(columns.keys() ^ set(names))}")
-        arrays = [_to_arrow(columns[field.name], field.type) for field in self._schema]
-        table = pa.Table.from_arrays(arrays, schema=self._schema)
-        self._pending.append(table)
-        self._pending_rows += table.num_rows
+        lengths = {len(values) for values in columns.values()}
+        if len(lengths) > 1:
+            raise ValueError(f"the columns have {sorted(lengths)} rows")
+        self._pending.append(columns)
+        self._pending_rows += lengths.pop()
         while self._pending_rows >= self._rows_per_group:
             self._write_group(self._rows_per_group)
 
     def _write_group(self, rows: int) -> None:
+        """Write the first pending rows. They are turned into Arrow's together: to turn those of
+        each call takes longer than to write them."""
         import pyarrow as pa
 
-        pending = pa.concat_tables(self._pending)
-        self._writer.write_table(pending.slice(0, rows).combine_chunks(), row_group_size=rows)
-        self._pending = [pending.slice(rows)]
+        pending = {
+            name: np.concatenate([block[name] for block in self._pending])
+            for name in self._schema.names
+        }
+        arrays = [_to_arrow(pending[field.name][:rows], field.type) for field in self._schema]
+        table = pa.Table.from_arrays(arrays, schema=self._schema)
+        self._writer.write_table(table, row_group_size=rows)
+        self._pending = [{name: values[rows:] for name, values in pending.items()}]
         self._pending_rows -= rows
 
     def _write_rest(self, kind: type[BaseException] | None, *_: object) -> None:

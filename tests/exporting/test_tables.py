@@ -113,7 +113,7 @@ def test_parquet_holds_at_most_one_group(tmp_path: Path) -> None:
         for start in range(0, 1000, 30):
             table.append(columns(start, start + 30))
             assert table._pending_rows < 40
-            assert sum(block.num_rows for block in table._pending) == table._pending_rows
+            assert sum(block["row"].size for block in table._pending) == table._pending_rows
 
 
 def test_an_empty_parquet_table_has_its_columns(tmp_path: Path) -> None:
