@@ -225,8 +225,12 @@ def test_a_drag_goes_through_the_frames_and_beyond_the_end_to_the_last(visit: Vi
 def test_the_pointer_on_the_strip_reads_out_the_frame_and_sends_no_picture(visit: Visit) -> None:
     strip = visit.panel._strip
     assert strip is not None
-    place = strip.place_of(6)
+    place, elsewhere = strip.place_of(6), strip.place_of(2)
     assert place is not None
+    assert elsewhere is not None
+    # What answers this pointer comes after the pictures of the frame that was set up.
+    visit.client.point("time", "move", *elsewhere)
+    visit.client.wait_until(lambda: "frame 3 of 30" in visit.picture()["readout"])
     visit.client.drain()
     visit.client.point("time", "move", *place)
     visit.client.wait_until(lambda: "frame 7 of 30" in visit.picture()["readout"])
