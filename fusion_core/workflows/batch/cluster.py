@@ -86,8 +86,29 @@ def workers_of(scheduler: str, folder: Path, settings: BatchSettings) -> Iterato
 
 
 def thread_count(client: Client) -> int:
-    """How many recordings the workers that are there now do at a time; 1 where there is none."""
-    return max(1, sum(map(int, client.nthreads().values())))
+    """How many recordings the workers that are there now do at a time; 1 where there is none.
+    Raises ScanLoomError where the scheduler is lost."""
+    require_scheduler(client)
+    try:
+        counts = client.nthreads()
+    except OSError as error:
+        raise lost_scheduler(client) from error
+    return max(1, sum(map(int, counts.values())))
+
+
+def require_scheduler(client: Client) -> None:
+    """Raise ScanLoomError where the scheduler is known to be lost: nothing can be sent to it."""
+    if client.status != "running":
+        raise lost_scheduler(client)
+
+
+def lost_scheduler(client: Client) -> ScanLoomError:
+    """The error for a scheduler that answered before and does not now."""
+    return ScanLoomError(
+        "the scheduler is lost.",
+        file=client.scheduler.address if client.scheduler else None,
+        advice="Call again: what is done is not done again.",
+    )
 
 
 def _connect(scheduler: str, settings: BatchSettings) -> Client:

@@ -7,7 +7,7 @@ from itertools import islice
 from distributed import Client, Future, KilledWorker, as_completed
 
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.workflows.batch.cluster import thread_count
+from fusion_core.workflows.batch.cluster import lost_scheduler, require_scheduler, thread_count
 from fusion_core.workflows.batch.outcome_file import write_outcome
 from fusion_core.workflows.batch.run_one import Ending, describe_failure, outcome_of, run_one
 from fusion_core.workflows.batch.settings import BatchSettings
@@ -45,6 +45,7 @@ def _answers(
     on_their_way: dict[Future[Ending], BatchTask] = {}
 
     def submit(task: BatchTask) -> "Future[Ending]":
+        require_scheduler(client)
         future = client.submit(run_one, task, key=(group, task.item.name), pure=False)
         on_their_way[future] = task
         return future
@@ -65,7 +66,9 @@ def _answers(
             for task in islice(tasks, room):
                 ended.add(submit(task))
     finally:
-        client.cancel(list(on_their_way))
+        # A client that has lost its scheduler has cancelled them.
+        if client.status == "running":
+            client.cancel(list(on_their_way))
 
 
 def _worker_died(answer: object) -> bool:
@@ -78,11 +81,7 @@ def _ending(client: Client, task: BatchTask, answer: object) -> Ending:
             raise ScanLoomError(f"{answer.stop} What was done until then stays.")
         return answer
     if not isinstance(answer, tuple):
-        raise ScanLoomError(
-            "the scheduler is lost.",
-            file=client.scheduler.address if client.scheduler else None,
-            advice="Call again: what is done is not done again.",
-        )
+        raise lost_scheduler(client)
     _, raised, _ = answer
     if isinstance(raised, KilledWorker):
         error = ScanLoomError(

@@ -7,12 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from distributed import Client
 
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.workflows.batch.batch import BatchSummary, run_batch
-from fusion_core.workflows.batch.cluster import workers_of
+from fusion_core.workflows.batch.batch import BatchSummary, _tasks, run_batch
+from fusion_core.workflows.batch.batch_folder import batch_folder
+from fusion_core.workflows.batch.cache import RemoteCache
+from fusion_core.workflows.batch.cluster import thread_count, workers_of
+from fusion_core.workflows.batch.in_flight import endings
 from fusion_core.workflows.batch.items import find_items
 from fusion_core.workflows.batch.settings import BatchSettings
+from tests.patience import comes_true
 from tests.workflows.batch.cluster_processes import Cluster
 from tests.workflows.batch.stub_call import StubCall, write_recordings
 
@@ -90,6 +95,36 @@ def test_a_worker_does_not_see_the_folder(cluster: Cluster, tmp_path: Path) -> N
     cluster.wait_for_workers(1)
     told = message_of(cluster.address, tmp_path / "not_shared", BatchSettings())
     assert "the worker does not see the folder" in told
+
+
+def test_a_scheduler_is_lost_between_two_counts_of_its_workers(cluster: Cluster) -> None:
+    with Client(cluster.address, timeout=0.5, set_as_default=False) as client:
+        assert thread_count(client) == 1
+        cluster.processes[0].kill()
+        with pytest.raises(ScanLoomError, match="the scheduler is lost"):
+            thread_count(client)
+        assert comes_true(lambda: client.status == "closed")
+        with pytest.raises(ScanLoomError, match="the scheduler is lost"):
+            thread_count(client)
+
+
+def test_a_scheduler_is_lost_while_what_has_ended_is_seen_to(
+    cluster: Cluster, stub: StubCall, tmp_path: Path
+) -> None:
+    cluster.start_worker()
+    write_recordings(tmp_path / "data", *(f"good_{i:03}" for i in range(40)))
+    cache = RemoteCache(folder=tmp_path / "cache", bytes_max=1)
+    with (
+        batch_folder(tmp_path / "out", stub.command),
+        workers_of(cluster.address, tmp_path, BatchSettings(connect_s=2.0)) as client,
+    ):
+        tasks = _tasks(find_items([str(tmp_path / "data")]), stub, tmp_path / "out", cache)
+        flow = endings(client, tasks, BatchSettings())
+        assert next(flow).error is None
+        cluster.processes[0].kill()
+        assert comes_true(lambda: client.status == "closed")
+        with pytest.raises(ScanLoomError, match="the scheduler is lost"):
+            list(flow)
 
 
 def test_a_scheduler_that_ends_leaves_what_is_done(
