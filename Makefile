@@ -16,6 +16,8 @@ demo: $(READY)
 # What is slow, and more examples of each property, are left to test-all.
 test: PYTEST := -m "not slow"
 test-all: PYTEST := --hypothesis-profile=thorough
+# One more than the cores of a small machine: a process waits half of its time for its browser.
+PROCESSES := 3
 # The type checker uses one core: it runs beside the tests, not before them.
 MAKEFLAGS += --jobs=2
 test test-all: types pytest
@@ -28,7 +30,7 @@ types: lint
 	$(PYTHON) -m mypy
 
 pytest: lint
-	$(PYTHON) -m pytest -n 2 --dist loadfile $(PYTEST)
+	$(PYTHON) -m pytest -n $(PROCESSES) --dist loadfile $(PYTEST)
 
 $(READY): pyproject.toml .ci/setup
 	bash .ci/setup $(VENV)
