@@ -16,8 +16,6 @@ demo: $(READY)
 # What is slow, and more examples of each property, are left to test-all.
 test: PYTEST := -m "not slow"
 test-all: PYTEST := --hypothesis-profile=thorough
-# One more than the cores of a small machine: a process waits half of its time for its browser.
-PROCESSES := 3
 # The type checker uses one core: it runs beside the tests, not before them.
 MAKEFLAGS += --jobs=2
 test test-all: types pytest
@@ -29,8 +27,9 @@ lint: $(READY_FOR_TESTS)
 types: lint
 	$(PYTHON) -m mypy
 
+# One more than the cores of a small machine: a process waits half of its time for its browser.
 pytest: lint
-	$(PYTHON) -m pytest -n $(PROCESSES) --dist loadfile $(PYTEST)
+	$(PYTHON) -m pytest -n 3 --dist loadfile $(PYTEST)
 
 $(READY): pyproject.toml .ci/setup
 	bash .ci/setup $(VENV)
