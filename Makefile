@@ -27,7 +27,7 @@ lint: $(READY_FOR_TESTS)
 types: lint
 	$(PYTHON) -m mypy
 
-# One more than the cores of a small machine: a process waits half of its time for its browser.
+# One more than a small machine has cores: the process with the tests in a browser mostly waits.
 pytest: lint
 	$(PYTHON) -m pytest -n 3 --dist loadfile $(PYTEST)
 

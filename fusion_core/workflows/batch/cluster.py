@@ -66,20 +66,13 @@ def local_workers(settings: BatchSettings) -> Iterator[Client]:
 def workers_of(scheduler: str, folder: Path, settings: BatchSettings) -> Iterator[Client]:
     """The workers of the scheduler at an address such as ``tcp://10.0.0.5:8786``.
 
-    Raises ScanLoomError where it does not answer, has no worker, or one of its workers has another
-    version of this project or of Python, or does not see ``folder``.
+    Raises ScanLoomError where it does not answer, is lost, has no worker, or one of its workers has
+    another version of this project or of Python, or does not see ``folder``.
     """
     with _quiet_logs():
         client = _connect(scheduler, settings)
         with client:
-            try:
-                client.wait_for_workers(1, timeout=settings.connect_s)
-            except TimeoutError as error:
-                raise ScanLoomError(
-                    f"has had no worker for {settings.connect_s:g} s.",
-                    file=scheduler,
-                    advice=f"Start some with `dask worker {scheduler}`.",
-                ) from error
+            _wait_for_a_worker(client, scheduler, settings)
             _require_same_versions(client)
             _require_folder(client, folder)
             yield client
@@ -88,18 +81,24 @@ def workers_of(scheduler: str, folder: Path, settings: BatchSettings) -> Iterato
 def thread_count(client: Client) -> int:
     """How many recordings the workers that are there now do at a time; 1 where there is none.
     Raises ScanLoomError where the scheduler is lost."""
-    require_scheduler(client)
+    with asking_scheduler(client):
+        return max(1, sum(map(int, client.nthreads().values())))
+
+
+@contextmanager
+def asking_scheduler(client: Client) -> Iterator[None]:
+    """A block that asks the scheduler of something. Raises ScanLoomError where it is lost."""
+    if not is_connected(client):
+        raise lost_scheduler(client)
     try:
-        counts = client.nthreads()
+        yield
     except OSError as error:
         raise lost_scheduler(client) from error
-    return max(1, sum(map(int, counts.values())))
 
 
-def require_scheduler(client: Client) -> None:
-    """Raise ScanLoomError where the scheduler is known to be lost: nothing can be sent to it."""
-    if client.status != "running":
-        raise lost_scheduler(client)
+def is_connected(client: Client) -> bool:
+    """Whether the scheduler is not known to be lost."""
+    return bool(client.status == "running")
 
 
 def lost_scheduler(client: Client) -> ScanLoomError:
@@ -127,6 +126,18 @@ def _connect(scheduler: str, settings: BatchSettings) -> Client:
 async def _greet(scheduler: str) -> None:
     async with rpc(scheduler) as remote:
         await remote.identity()
+
+
+def _wait_for_a_worker(client: Client, scheduler: str, settings: BatchSettings) -> None:
+    with asking_scheduler(client):
+        try:
+            client.wait_for_workers(1, timeout=settings.connect_s)
+        except TimeoutError as error:
+            raise ScanLoomError(
+                f"has had no worker for {settings.connect_s:g} s.",
+                file=scheduler,
+                advice=f"Start some with `dask worker {scheduler}`.",
+            ) from error
 
 
 def _require_same_versions(client: Client) -> None:
@@ -160,8 +171,9 @@ def _require_folder(client: Client, folder: Path) -> None:
 
 def _ask(client: Client, function: Any, *values: object) -> Mapping[str, Any]:
     """What each worker answers; the exception where it cannot."""
-    answers: dict[str, Any] = client.run(function, *values, on_error="return")
-    return answers
+    with asking_scheduler(client):
+        answers: dict[str, Any] = client.run(function, *values, on_error="return")
+        return answers
 
 
 @contextmanager

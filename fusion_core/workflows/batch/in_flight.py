@@ -7,7 +7,12 @@ from itertools import islice
 from distributed import Client, Future, KilledWorker, as_completed
 
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.workflows.batch.cluster import lost_scheduler, require_scheduler, thread_count
+from fusion_core.workflows.batch.cluster import (
+    asking_scheduler,
+    is_connected,
+    lost_scheduler,
+    thread_count,
+)
 from fusion_core.workflows.batch.outcome_file import write_outcome
 from fusion_core.workflows.batch.run_one import Ending, describe_failure, outcome_of, run_one
 from fusion_core.workflows.batch.settings import BatchSettings
@@ -45,8 +50,8 @@ def _answers(
     on_their_way: dict[Future[Ending], BatchTask] = {}
 
     def submit(task: BatchTask) -> "Future[Ending]":
-        require_scheduler(client)
-        future = client.submit(run_one, task, key=(group, task.item.name), pure=False)
+        with asking_scheduler(client):
+            future = client.submit(run_one, task, key=(group, task.item.name), pure=False)
         on_their_way[future] = task
         return future
 
@@ -67,7 +72,7 @@ def _answers(
                 ended.add(submit(task))
     finally:
         # A client that has lost its scheduler has cancelled them.
-        if client.status == "running":
+        if is_connected(client):
             client.cancel(list(on_their_way))
 
 

@@ -13,7 +13,12 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows.batch.batch import BatchSummary, _tasks, run_batch
 from fusion_core.workflows.batch.batch_folder import batch_folder
 from fusion_core.workflows.batch.cache import RemoteCache
-from fusion_core.workflows.batch.cluster import thread_count, workers_of
+from fusion_core.workflows.batch.cluster import (
+    _require_folder,
+    _wait_for_a_worker,
+    thread_count,
+    workers_of,
+)
 from fusion_core.workflows.batch.in_flight import endings
 from fusion_core.workflows.batch.items import find_items
 from fusion_core.workflows.batch.settings import BatchSettings
@@ -97,15 +102,25 @@ def test_a_worker_does_not_see_the_folder(cluster: Cluster, tmp_path: Path) -> N
     assert "the worker does not see the folder" in told
 
 
-def test_a_scheduler_is_lost_between_two_counts_of_its_workers(cluster: Cluster) -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [
+        thread_count,
+        lambda client: _require_folder(client, Path()),
+        lambda client: _wait_for_a_worker(client, "", BatchSettings()),
+    ],
+)
+def test_a_scheduler_is_lost_between_two_questions(
+    ask: Callable[[Client], object], cluster: Cluster
+) -> None:
     with Client(cluster.address, timeout=0.5, set_as_default=False) as client:
         assert thread_count(client) == 1
         cluster.processes[0].kill()
         with pytest.raises(ScanLoomError, match="the scheduler is lost"):
-            thread_count(client)
+            ask(client)
         assert comes_true(lambda: client.status == "closed")
         with pytest.raises(ScanLoomError, match="the scheduler is lost"):
-            thread_count(client)
+            ask(client)
 
 
 def test_a_scheduler_is_lost_while_what_has_ended_is_seen_to(
